@@ -1,4 +1,4 @@
-"""The tree of errors: every one has a stable code and says subject, value, limit and remedy.
+"""The tree of errors: each has a stable code and states subject, value, limit and remedy.
 
 ::
 
@@ -18,7 +18,7 @@
         CommandError       [COMMAND]        a command that a machine cannot take in its state
       LinkFaultError       [FAULT]          the machine or its link: the program exits with 3
 
-``threadline.motion.shaping.ShaperError``, code SHAPER, is a ``PlanError``, too: an input shaper
+``threadline.motion.shaping.ShaperError``, code SHAPER, is also a ``PlanError``: an input shaper
 that cannot be designed, or that fails its own proof.
 """
 
@@ -83,7 +83,7 @@ class InputError(ThreadlineError, ValueError):
 
 @contextmanager
 def placed(place: Place) -> Iterator[None]:
-    """Give errors of the input that name no place this one.
+    """Add ``place`` to every ``InputError`` of the block that names no place itself.
 
     >>> with placed(Place("vessel.wind.toml", 12)):
     ...     raise JobError("the fibre never turns back")
@@ -152,9 +152,9 @@ class LimitError(PlanError):
     Attributes
     ----------
     axis, quantity
-        The exceeded limit, for instance ``"X"`` and ``"velocity"``.
+        Axis and quantity of the exceeded limit, for instance ``"X"`` and ``"velocity"``.
     value_si, limit_si
-        The peak and its limit, SI.
+        Peak of the planned motion, and the limit, in SI.
     """
 
     code = "PLAN-LIMIT"
@@ -178,7 +178,7 @@ class LimitError(PlanError):
 
 
 class BudgetError(PlanError):
-    """More ticks, operations or memory than the machine file allows."""
+    """A job that needs more ticks, operations or memory than the machine file allows."""
 
     code = "PLAN-BUDGET"
 

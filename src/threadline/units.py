@@ -1,12 +1,12 @@
-"""Quantities with units at the edge, SI inside.
+"""Quantities with units: parsed where text enters the program, and SI everywhere else.
 
 Loading pint's registry and defining its units takes a quarter of a second, more than all other work
 of a command with units. This module therefore keeps a table of the usual factors, equal to pint's
 to the bit (a test compares them). Only an unusual unit loads the registry.
 
 Every file and option writes a number with its unit (``"7.5 in/s"``, ``"55.358 count/mm"``,
-``"10 count/tick"``); everything behind this module is a float in SI. Angles are a dimension of
-their own here, so that millimetres, degrees and plain numbers cannot stand for each other.
+``"10 count/tick"``); after parsing, every quantity is a float in SI. This module treats angle as a
+dimension, so that millimetres, degrees and plain numbers cannot be mistaken for each other.
 """
 
 from __future__ import annotations
@@ -157,21 +157,22 @@ _UNIT_NAMES = (
     "rev count tick bit dac bar Pa"
 )
 USUAL = {"m": "mm", "m/s": "mm/s", "s": "ms", "rad": "deg", "rad/s": "deg/s"}
-"""Units that errors propose for a number without one: machine parts are given in mm, not in m."""
+"""Units that errors propose for a number without a unit: machine parts are given in mm."""
 _PIECES = tuple(_UNIT_NAMES.split())
 _MOST_CUTS = 50
 _SMALLEST_EXACT, _LARGEST_EXACT = 1e-30, 1e30
 SMALLEST_MEANINGFUL = 1e-9
-"""Smallest SI value that means anything. 1 nm is a thousandth of the finest encoder count, 1 ns is
-less than a tick of the fastest timer, and 1 nA is far below the resolution of a converter. Rounding
-errors of doubles of a machine's size stay below 1e-12."""
+"""Smallest SI value with a physical meaning. 1 nm is a thousandth of the finest encoder count, 1 ns
+is less than a tick of the fastest timer, and 1 nA is far below the resolution of a converter.
+Rounding errors of doubles of a machine's size stay below 1e-12."""
 
 
 @contextmanager
 def _without_dask() -> Iterator[None]:
-    """Import as if dask were missing: pint would import it for arrays that no unit here has.
+    """Hide dask while pint is imported: pint would import it to support its arrays.
 
-    A name that is None in ``sys.modules`` counts as missing. Dask comes with the extra ``cluster``.
+    Threadline puts no units on dask arrays. A name that is None in ``sys.modules`` counts as
+    missing. Dask comes with the extra ``cluster``.
     """
     if "dask" in sys.modules:
         yield
@@ -215,7 +216,7 @@ def split_quantity(text: str) -> tuple[str, str]:
 
 
 def refuse_decimal_comma(text: str) -> None:
-    """Refuse a quantity that begins like ``"0,6 ohm"``, which half of the world writes.
+    """Refuse a quantity with a decimal comma, such as ``"0,6 ohm"``.
 
     Raises
     ------
@@ -230,7 +231,9 @@ def refuse_decimal_comma(text: str) -> None:
 
 
 def respelt_unit(unit: str, target: str) -> str:
-    """Return ``unit`` with its missing blanks and carets; empty if not of ``target``'s dimension.
+    """Return ``unit`` with missing blanks and carets added; empty if the dimension is wrong.
+
+    ``target`` is a unit of the right dimension.
 
     >>> respelt_unit("kgcm2", "kg*m^2"), respelt_unit("Nm/A", "N*m/A"), respelt_unit("zz", "m")
     ('kg cm^2', 'N m/A', '')
@@ -351,10 +354,10 @@ def parse_quantity(text: str, target: str) -> float:
 
 
 def without_noise(value: float, limit: float | None = None) -> float:
-    """Return ``value`` for display: 0 where it is only a rounding error.
+    """Return ``value`` for display: 0 if it is only a rounding error.
 
-    A rounding error is a value below ``SMALLEST_MEANINGFUL``, or below the same share of ``limit``
-    if ``limit`` is above 1: a jerk in the thousands carries a larger rounding error.
+    A rounding error is a value below ``SMALLEST_MEANINGFUL``, times ``limit`` if ``limit`` is above
+    1: a jerk in the thousands has a larger rounding error.
 
     >>> without_noise(4.3e-19), without_noise(2e-8), without_noise(-1e-7, 500.0)
     (0.0, 2e-08, 0.0)

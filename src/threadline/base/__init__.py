@@ -1,1 +1,1 @@
-"""Tools for every room: checked arrays, compiled code, safe files, progress, and safe text."""
+"""Tools for all packages: checked arrays, compiled code, safe files, progress, and safe text."""

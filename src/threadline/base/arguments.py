@@ -1,7 +1,7 @@
 """Checks of the arguments of Python callers: a wrong type raises an ``InputError``.
 
-Readers of options check the text of the command line. A caller in Python may pass any object;
-``checked`` compares each argument with the annotation of its parameter.
+The parsers of options check the text of the command line. A caller in Python may pass any object,
+so ``checked`` compares each argument with the annotation of its parameter.
 """
 
 from __future__ import annotations
@@ -32,13 +32,13 @@ _WORDS = {
 def checked(function: Callable[P, T]) -> Callable[P, T]:
     """Return a function that refuses arguments whose types differ from its annotations.
 
-    Unusable files and a lack of memory raise the same errors as on the command line, and no output
-    replaces a file that the same call has read.
+    Inside the returned function, unusable files and a lack of memory raise the same errors as on
+    the command line, and no output replaces a file that the same call has read.
 
     Raises
     ------
     OptionError
-        Raised by the returned function; names the argument and its valid types.
+        Raised by the returned function for a wrong type; names the argument and its valid types.
     """
 
     @wraps(function)
@@ -78,11 +78,11 @@ def _check(function: Callable[..., Any], positional: Sequence[Any], named: dict[
 
 @cache
 def _takes(function: Callable[..., Any], name: str) -> Any:
-    """Return the types that an argument may have; Any where the function checks it itself."""
+    """Return the types that an argument may have; Any if the function itself checks it."""
     annotation = inspect.signature(function).parameters[name].annotation
     if annotation is inspect.Parameter.empty:
         return Any
-    # Evaluate parameters only: return types may be imported for type checkers alone.
+    # Evaluate parameters only: return types may be imported only for type checkers.
     return eval(annotation, function.__globals__) if isinstance(annotation, str) else annotation  # noqa: S307
 
 
@@ -110,7 +110,7 @@ def check_argument(name: str, value: object, takes: Any) -> None:
 def _fits(value: object, takes: Any) -> bool:
     if isinstance(takes, UnionType):
         return any(_fits(value, one) for one in get_args(takes))
-    if get_origin(takes) is not None:  # a sequence of one type
+    if get_origin(takes) is not None:  # a sequence of items of one type
         (inner,) = get_args(takes)
         if isinstance(value, str | bytes) or not isinstance(value, Sequence):
             return False
@@ -129,7 +129,7 @@ def _is_text(text: str) -> bool:
 
 
 def _named(takes: Any) -> str:
-    """Return the words of an error message for types."""
+    """Return the names of types as words for an error message."""
     if isinstance(takes, UnionType):
         *most, last = dict.fromkeys(map(_named, get_args(takes)))
         return f"{', '.join(most)} or {last}" if most else last

@@ -22,7 +22,7 @@ def read_only(values: ArrayLike, name: str, *, ndim: int) -> FloatArray:
     ----------
     values
         Anything that numpy turns into an array of finite numbers. A locked array whose bases are
-        locked, too, is returned without copying.
+        also locked is returned without copying.
     name
         Name of the array in errors.
     ndim
@@ -48,8 +48,8 @@ def real_numbers(values: ArrayLike) -> FloatArray:
     Raises
     ------
     TypeError, ValueError
-        If they are texts, complex, nothing, masked, beyond the range of floats, or rows of unequal
-        length.
+        If the values are texts, complex, None, masked or beyond the range of floats, or if they are
+        rows of unequal length.
     """
     if _is_masked(values):
         raise TypeError("masked values are not real numbers")
@@ -72,7 +72,7 @@ def _is_masked(values: object) -> bool:
 
 
 def read_only_int(values: ArrayLike, name: str, *, ndim: int) -> IntArray:
-    """Return a locked int64 array as ``read_only`` does; refuse fractions, do not truncate them.
+    """Return a locked int64 array as ``read_only`` does; fractions are refused, not truncated.
 
     Raises
     ------
@@ -102,7 +102,7 @@ def _taken(values: ArrayLike, dtype: type[Any]) -> NDArray[Any]:
 def largest_of_axes(values: FloatArray) -> FloatArray:
     """Return the largest value of each row, shape (n,), of ``values``, shape (n, axes).
 
-    The loop runs over axes because numpy is slow along a short inner dimension.
+    The loop runs over the axes because numpy is slow along a short inner dimension.
     """
     largest: FloatArray = values[:, 0]
     for axis in range(1, values.shape[1]):
@@ -116,7 +116,7 @@ def _check_ndim(found: int, name: str, wanted: int) -> None:
 
 
 class Locked:
-    """Base of frozen dataclasses that hold read-only arrays: their copies are read-only too.
+    """Base of frozen dataclasses with read-only arrays, whose unpickled copies are also read-only.
 
     Pickling an array drops its read-only flag; unpickling one of these classes sets it again.
     """
@@ -140,7 +140,7 @@ def _locked(cls: type[Any], state: Mapping[str, Any]) -> Any:
 
 
 def finite(value: float | None) -> float | None:
-    """Return ``value``, or None where it is not finite: JSON cannot express infinity or NaN."""
+    """Return ``value``, or None if it is not finite: JSON cannot express infinity or NaN."""
     return value if value is not None and math.isfinite(value) else None
 
 

@@ -1,18 +1,17 @@
-"""Workers on other computers, by the scheduler of ``distributed``.
+"""Workers on other computers, through the scheduler of ``distributed``.
 
-Every task names the work by a digest, and depends on one small task that holds the pickled work.
-The scheduler can therefore make a lost copy of the work again, which it cannot do with data that a
-client scattered. A worker keeps the work ready between tasks, so that
-it plans and compiles once.
+Every task names its work by a digest, and depends on one small task that holds the pickled work.
+The scheduler can therefore make a lost copy of the work again. With data that a client scattered it
+could not. A worker keeps the work ready between tasks, so that it plans and compiles only once.
 
-Sending a task and fetching its answer takes some 10 ms of the processors of command, scheduler and
-worker together, for any task. A task therefore has as many items as take a worker about a
-second, which is measured; the last tasks have fewer, so that all workers end at about the same
-time.
+Sending a task and fetching its answer takes some 10 ms of processor time on the client, the
+scheduler and the worker together, for any task. A task therefore has so many items that a worker
+needs about a second for them; the time per item is measured. The last tasks have fewer items, so
+that all workers end at about the same time.
 
-A worker is refused, by its name, if its versions differ, or if it gets other bits for the same
-machine. An answer is taken in the order of the items, so that it does not depend on which worker
-was quick.
+A worker is refused, by its name, if its versions differ, or if its result for the same machine
+differs in a bit. Answers are taken in the order of the items, so that the result does not depend on
+which worker was faster.
 """
 
 from __future__ import annotations
@@ -48,18 +47,19 @@ R = TypeVar("R")
 CONNECT_S = 10.0
 """Longest wait for the scheduler."""
 FIRST_S, WORKER_S = 900.0, 60.0
-"""Longest wait for the first worker, which a batch system may begin late; and without any later."""
-_LOOK_S = 0.5  # how often the workers are counted while an answer is awaited
+"""Longest wait for the first worker, which a batch system may start late; and longest time without
+any worker later."""
+_LOOK_S = 0.5  # interval at which the workers are counted while an answer is awaited
 TASK_S = 1.0
-"""Time that the items of a task take a worker, about."""
-_AHEAD = 4  # tasks on their way for each core
+"""Approximate time that a worker needs for the items of one task."""
+_AHEAD = 4  # number of tasks that are sent ahead for each core
 _LEAST_AHEAD = 16
-_LAST = 3  # tasks for each core that the last items are divided into
+_LAST = 3  # the last items are divided into so many tasks for each core
 _RESUME = "What was finished is in the file of --resume, if there is one: repeat the command."
 
 
 def parse_cluster(text: str) -> str:
-    """Return the address of a scheduler: on this computer, or by TLS.
+    """Return the address of a scheduler, which must be on this computer or use TLS.
 
     >>> parse_cluster("localhost:8786"), parse_cluster("tls://lab.example:8786")
     ('tcp://localhost:8786', 'tls://lab.example:8786')
@@ -67,7 +67,7 @@ def parse_cluster(text: str) -> str:
     Raises
     ------
     OptionError
-        If it is no address, or an address of another computer without TLS.
+        If the text is not an address, or is the address of another computer without TLS.
     """
     way, _, rest = text.strip().rpartition("://")
     way = way or "tcp"
@@ -103,11 +103,11 @@ def items_at_once(item_s: float, left: int, cores: int) -> int:
     Parameters
     ----------
     item_s
-        Time of a worker for an item.
+        Time that a worker needs for one item.
     left
-        Number of items that are known to be left.
+        Number of remaining items, as far as they are known.
     cores
-        Number of tasks that are worked on at once.
+        Number of tasks that are worked on at the same time.
 
     >>> [items_at_once(0.1, left, 2) for left in (1000, 60, 30, 6, 1)]
     [10, 10, 5, 1, 1]
@@ -116,12 +116,12 @@ def items_at_once(item_s: float, left: int, cores: int) -> int:
 
 
 class Cluster:
-    """The workers of a scheduler, as ``threadline.base.workers`` asks them.
+    """The workers of a scheduler, an implementation of ``threadline.base.workers.Workers``.
 
     Parameters
     ----------
     address
-        The scheduler, as ``parse_cluster`` gives it.
+        Address of the scheduler, as ``parse_cluster`` returns it.
 
     Raises
     ------
@@ -129,7 +129,7 @@ class Cluster:
         If ``distributed`` is not installed, no certificates are set for TLS, or a worker has other
         versions.
     LinkFaultError
-        If the scheduler cannot be reached, or no worker joins it.
+        If the scheduler cannot be reached, or has no worker for too long.
     """
 
     _versions_there = staticmethod(versions)
@@ -153,18 +153,18 @@ class Cluster:
 
     @property
     def cores(self) -> int:
-        """Number of items that are answered at once: threads of all workers, at least 1."""
+        """Number of items answered at the same time: threads of all workers, at least 1."""
         self._count()
         return max(self._cores, 1)
 
     @property
     def words(self) -> str:
-        """The cluster in words, for a message."""
+        """Description of the cluster, for a message."""
         count = len(self._nthreads())
         return f"{count} worker{'s' * (count != 1)}, {self.cores} at once, of {self.address}"
 
     def close(self) -> None:
-        """Give up all tasks and the connection; workers and scheduler go on."""
+        """Give up all tasks and close the connection; workers and scheduler keep running."""
         with suppress(Exception), _quiet():
             self._client.close(timeout=2)
 
@@ -174,9 +174,9 @@ class Cluster:
         Raises
         ------
         OptionError
-            If a worker has other versions.
+            If a worker has other versions, or cannot read a file of the job.
         LinkFaultError
-            If the cluster fails, or a worker gets other bits.
+            If the cluster fails, or the result of a worker differs in a bit.
         """
         digest, content = self._sent(work)
         waiting: deque[tuple[Any, list[T]]] = deque()
@@ -190,7 +190,7 @@ class Cluster:
                     break
                 try:
                     found = self._awaited(waiting[0][0])
-                except CancelledError:  # the scheduler was away, and is back: it knows nothing
+                except CancelledError:  # the scheduler was restarted and has lost all tasks
                     self._works.clear()
                     digest, content = self._sent(work)
                     again = [(self._begun(content, digest, task), task) for _, task in waiting]
@@ -200,26 +200,26 @@ class Cluster:
                 future.release()
                 self._check_bits(found, digest)
                 before_s = self._item_s.get(digest, found.item_s)
-                # The first task loads machine code, too: only later tasks are measured.
+                # The first task also loads machine code, so later tasks count more.
                 self._item_s[digest] = 0.5 * (before_s + found.item_s)
                 for item, answer in zip(task, found.answers, strict=True):
                     if done is not None:
                         done(work.machines(item))
                     yield answer
         finally:
-            for future, _ in waiting:  # the scheduler forgets what nobody waits for
+            for future, _ in waiting:  # the scheduler drops released tasks
                 with suppress(Exception):
                     future.release()
 
     def _sent(self, work: Work[Any, Any]) -> tuple[str, Any]:
-        """Return the name of a work, and the task that holds it; each work is sent once."""
+        """Return the digest of a work, and the task that holds the work; it is sent only once."""
         if id(work) not in self._works:
             content = pickle.dumps(work, protocol=5)
             digest = hashlib.sha256(content).hexdigest()
             with self._failing(), _quiet():
                 key = f"threadline-work-{digest}"
                 future = self._client.submit(same, content, key=key)
-            self._works[id(work)] = work, digest, future  # the work stays, and so does its id
+            self._works[id(work)] = work, digest, future  # the reference keeps the id valid
             while len(self._works) > KEPT:
                 del self._works[next(iter(self._works))]
         _, digest, future = self._works[id(work)]
@@ -228,7 +228,7 @@ class Cluster:
         return digest, future
 
     def _task(self, given: Iterator[T], ahead: deque[T], digest: str) -> list[T]:
-        """Return the items of the next task, none after the last; ``ahead`` are taken already."""
+        """Return the items of the next task, none at the end; ``ahead`` has items taken before."""
         item_s = self._item_s.get(digest, TASK_S)
         more = _LAST * self.cores * int(TASK_S / max(item_s, 1e-4)) - len(ahead)
         ahead.extend(islice(given, max(more, 1 - len(ahead), 0)))
@@ -242,7 +242,7 @@ class Cluster:
             )
 
     def _awaited(self, future: Any) -> Answer:
-        """Return the answer of a task, while there is a scheduler and a worker to wait for."""
+        """Return the answer of a task; fail if the scheduler is lost or no worker remains."""
         while True:
             with self._failing():
                 found = _result(future)
@@ -290,12 +290,12 @@ class Cluster:
             return dict(self._client.nthreads())
 
     def _count(self) -> None:
-        """Count the workers from time to time, and fail if there has been none for long."""
+        """Count the workers from time to time; fail if there has been none for too long."""
         now_s = time.monotonic()
         if now_s - self._counted_s < _LOOK_S:
             return
         self._counted_s = now_s
-        # A scheduler that is away is noticed where an answer is awaited.
+        # A lost scheduler is noticed while an answer is awaited.
         if self._client.status == "running":
             with suppress(CancelledError, LinkFaultError):
                 self._cores = sum(self._nthreads().values())
@@ -317,7 +317,7 @@ class Cluster:
 
     @contextmanager
     def _failing(self) -> Iterator[None]:
-        """Turn the failures of a cluster into one line each."""
+        """Turn each failure of a cluster into an error with a message of one line."""
         from distributed.scheduler import KilledWorker
 
         try:
@@ -345,7 +345,7 @@ class Cluster:
             ) from error
 
     def _is_back(self) -> bool:
-        """Return whether the scheduler is there again in a moment."""
+        """Return whether the scheduler can be reached again after a moment."""
         end_s = time.monotonic() + CONNECT_S
         while time.monotonic() < end_s and self._client.status == "connecting":
             time.sleep(_LOOK_S)
@@ -361,7 +361,7 @@ def _connected(address: str) -> Any:
             "--cluster needs the package distributed, and it is not installed",
             remedy='Install it: pip install "threadline[cluster]".',
         ) from error
-    for name in [*logging.root.manager.loggerDict]:  # several have a level of their own
+    for name in [*logging.root.manager.loggerDict]:  # several loggers have a level of their own
         if name.partition(".")[0] == "distributed":
             logging.getLogger(name).setLevel(logging.CRITICAL)
     of: Any = distributed  # its constructors have no types
@@ -387,7 +387,7 @@ def _connected(address: str) -> Any:
 
 
 def _result(future: Any) -> Answer | Refusal | None:
-    """Return the result of a task; None if it has not come after a moment."""
+    """Return the result of a task; None if there is none after a moment."""
     try:
         with _quiet():
             return future.result(timeout=_LOOK_S)  # type: ignore[no-any-return]
@@ -397,7 +397,7 @@ def _result(future: Any) -> Answer | Refusal | None:
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Keep the warnings of ``distributed`` from the terminal: what matters here is an error."""
+    """Keep the warnings of ``distributed`` from the terminal: everything important is an error."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         yield
@@ -405,12 +405,12 @@ def _quiet() -> Iterator[None]:
 
 @contextmanager
 def on_cluster(address: str | None, tell: Callable[[str], None]) -> Iterator[None]:
-    """Let a cluster answer all batches inside; None for this computer.
+    """Let a cluster answer all batches of the block; with ``address`` None this computer does.
 
     Parameters
     ----------
     tell
-        Called with the cluster in words.
+        Called with a description of the cluster.
 
     Raises
     ------

@@ -1,8 +1,8 @@
-"""The code that a worker of a cluster runs: the items of a task, by work that it keeps ready.
+"""The code that a worker of a cluster runs: it answers the items of a task with a prepared work.
 
-Every task names the work by a digest, and a worker plans and compiles once for each digest. It
-returns the bits of its result for a known item, and refuses to work if its versions differ from the
-command's versions.
+Every task names its work by a digest. A worker plans and compiles once for each digest. It returns
+the bits of its result for a known item, and refuses to work if its versions differ from the
+versions of the command.
 """
 
 from __future__ import annotations
@@ -24,12 +24,12 @@ from threadline import __version__
 from threadline.base.workers import Work
 
 KEPT = 8
-"""Works that a worker keeps ready."""
+"""Number of works that a worker keeps ready."""
 _ENGINES = ("numpy", "scipy", "numba", "llvmlite")
 
 
 def versions() -> dict[str, str]:
-    """Return everything that may change the bits of an answer: versions, and a source digest.
+    """Return everything that may change the bits of an answer: versions and a digest of sources.
 
     >>> versions()["numpy"] == version("numpy")
     True
@@ -50,7 +50,7 @@ def _version(name: str) -> str:
 
 @cache
 def _source() -> str:
-    """Return a digest of the package's own files."""
+    """Return a digest of the files of this package."""
     root = Path(__file__).parents[1]
     digest = hashlib.sha256()
     for file in sorted(root.rglob("*.py")):
@@ -61,7 +61,7 @@ def _source() -> str:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Refusal:
-    """Why a worker gives no answer."""
+    """The reason why a worker gives no answer."""
 
     worker: str
     why: str
@@ -69,7 +69,7 @@ class Refusal:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Answer:
-    """Answers, the worker that gave them, its time for each, and its bits for a known machine."""
+    """Answers, the worker that gave them, its time per item, and its bits for a known machine."""
 
     worker: str
     known: bytes
@@ -79,7 +79,7 @@ class Answer:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Ready:
-    """A work that a worker has ready, and the bits of the answer that is known."""
+    """A prepared work, and the bits of its known answer on this worker."""
 
     work: Work[Any, Any]
     known: bytes
@@ -90,7 +90,7 @@ _preparing = threading.Lock()
 
 
 def same(content: bytes) -> bytes:
-    """Return the content: the task on which the others depend."""
+    """Return the content; this is the task on which all tasks of a work depend."""
     return content
 
 
@@ -104,7 +104,7 @@ def answer_on_worker(
     content
         The pickled work.
     digest
-        Its name.
+        Digest of the pickled work.
     wanted
         Versions that the worker must have.
     """
@@ -125,7 +125,7 @@ def answer_on_worker(
 
 
 def _prepared(content: bytes, digest: str) -> _Ready:
-    """Return a work that is ready; threads of one worker prepare it once."""
+    """Return a prepared work; the threads of one worker prepare it only once."""
     with _preparing:
         if digest not in _ready:
             work = pickle.loads(content)  # noqa: S301 - the scheduler runs whatever it is sent
@@ -137,7 +137,7 @@ def _prepared(content: bytes, digest: str) -> _Ready:
 
 
 def other_versions(here: Mapping[str, str], wanted: Mapping[str, str]) -> str:
-    """Return in words which versions differ; empty if none does."""
+    """Return in words which versions differ; empty if all agree."""
     other = [
         f"{name} {here.get(name, 'none')} instead of {due}"
         for name, due in wanted.items()

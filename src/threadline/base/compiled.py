@@ -1,12 +1,13 @@
-"""``njit`` with a cache on disk that several processes, and changed files, cannot mislead.
+"""``njit`` with a cache on disk that is safe with several processes and after changes of files.
 
-numba writes the index of a function before the machine code that the index names, and gives the
-code of two processes the same name. Another process may then run code of an older source file, or
-code for other types. numba also ignores changes in the files of called functions. This module
-writes the machine code first. Its name contains a digest of its sources, including called
-functions. If several processes need the same function, one compiles it and the others wait.
+numba writes the index of a function before the machine code that the index names, and the machine
+code of two processes gets the same file name. Another process may then run code of an older source
+file, or code for other types. numba also ignores changes in the files of called functions. This
+module writes the machine code first. The name of its file contains a digest of its sources,
+including called functions. If several processes need the same function, one process compiles it and
+the others wait.
 
-numba would also run a file that a loss of power or a bad disk has damaged. Every file here begins
+numba would also run a file that a power failure or a bad disk has damaged. Here every file begins
 with a digest of its content; a file with a wrong digest is compiled again.
 """
 
@@ -55,15 +56,15 @@ __all__ = ["FileLock", "cache_folder", "njit"]
 
 F = TypeVar("F", bound=Callable[..., Any])
 LOCK_TIMEOUT_S = 120.0
-"""Longest wait for the machine code of another process; after it, this process compiles."""
+"""Longest wait for the machine code of another process; after that this process compiles it."""
 _POLL_S = 0.02
 _PLAIN = (bool, int, float, complex, str, bytes, tuple)
 
 
 class FileLock:
-    """A file that one process locks until it deletes this object, where the system has file locks.
+    """A file that one process locks until it deletes this object, if the system has file locks.
 
-    Other processes wait at most ``LOCK_TIMEOUT_S``: the owner may have been suspended.
+    Other processes wait at most ``LOCK_TIMEOUT_S``, because the owner may have been suspended.
     """
 
     def __init__(self, path: Path) -> None:
@@ -94,10 +95,10 @@ class FileLock:
 
 
 class CacheFile(IndexDataCacheFile):
-    """An index, and files of machine code with a digest of their sources in their names.
+    """An index, and files of machine code whose names contain a digest of their sources.
 
-    A process that finds no machine code compiles it. Until it calls ``save`` or ends, other
-    processes that need the same code wait.
+    A process that finds no machine code compiles it. Other processes that need the same code wait
+    until this process calls ``save`` or ends.
     """
 
     def load(self, key: Hashable) -> Any:
@@ -113,7 +114,11 @@ class CacheFile(IndexDataCacheFile):
         return found
 
     def save(self, key: Hashable, data: object) -> None:
-        """Write machine code, then its index entry; a process that loses a race compiles again."""
+        """Write machine code, then its index entry.
+
+        If two processes write the index at the same time, one entry is lost, and a process that
+        needs it compiles again.
+        """
         name = self._name_of(key)
         inherited: Any = self
         try:
@@ -157,7 +162,7 @@ class CacheFile(IndexDataCacheFile):
             part.unlink(missing_ok=True)
 
     def _load_index(self) -> dict[Hashable, str]:
-        """Return key -> file name; empty where the index is missing or damaged."""
+        """Return key -> file name; empty if the index is missing or damaged."""
         try:
             content = BytesIO(_checked(Path(self._index_path)))
         except OSError:
@@ -183,7 +188,7 @@ def _digest(content: bytes) -> bytes:
 
 
 def _checked(path: Path) -> bytes:
-    """Return the content behind the digest of a file; raise OSError if they disagree."""
+    """Return the content that follows the digest in a file; raise OSError if they disagree."""
     content = path.read_bytes()
     size = hashlib.sha256().digest_size
     digest, rest = content[:size], content[size:]
@@ -205,10 +210,10 @@ class _Clock(Listener):
 
 
 class _Lowering(Listener):
-    """Holds back interrupts while numba gives modules to LLVM.
+    """Holds back interrupts while numba passes modules to LLVM.
 
-    llvmlite notes that a module belongs to LLVM after the call that gives it away. An exception
-    between the two would let the module be freed twice, which ends the process by SIGSEGV.
+    llvmlite notes only after the call that a module now belongs to LLVM. An exception between the
+    call and the note would let the module be freed twice, which ends the process by SIGSEGV.
     """
 
     def __init__(self) -> None:
@@ -239,9 +244,10 @@ _register("numba:run_pass", _Lowering())
 def njit(**options: Any) -> Callable[[F], Dispatcher[F]]:
     """Decorate a function like ``numba.njit``, with the cache of this module.
 
-    Division by zero gives infinity or NaN, as in numpy. Python's check of each divisor would take a
-    sixth of the compile time; a block of a trajectory refuses values that are not finite. Nothing
-    calls these functions from C: their wrappers for C would take another tenth.
+    Division by zero gives infinity or NaN, as in numpy: Python's check of each divisor would take a
+    sixth of the compile time, and a block of a trajectory refuses values that are not finite. No
+    wrappers for C are made, because nothing calls these functions from C, and wrappers would take
+    another tenth of the compile time.
     """
     options = {"error_model": "numpy", "no_cfunc_wrapper": True, **options}
 
@@ -258,10 +264,10 @@ def njit(**options: Any) -> Callable[[F], Dispatcher[F]]:
 
 
 def cache_folder(function: Callable[..., Any]) -> Path | None:
-    """Return the cache folder of a function's file; None where no folder can be written.
+    """Return the cache folder of a function's file; None if no folder can be written.
 
-    The folder is beside the source file, or the user's cache folder if that one is read-only, or
-    NUMBA_CACHE_DIR.
+    It is NUMBA_CACHE_DIR if that is set, else a folder beside the source file, else the user's
+    cache folder if the source folder is read-only.
     """
     untyped: Any = CompileResultCacheImpl
     try:
@@ -271,7 +277,7 @@ def cache_folder(function: Callable[..., Any]) -> Path | None:
 
 
 def _can_be_kept(function: Any) -> bool:
-    """Turn on numba's cache of a function; False where none of its folders can be written."""
+    """Turn on numba's cache of a function; False if none of its folders can be written."""
     try:
         function.enable_caching()
     except RuntimeError as error:
@@ -296,7 +302,7 @@ def _keep_safely(function: Any, options: str) -> None:
 
 
 def _prepare_first(function: Any) -> None:
-    """Let the first function that a process loads or compiles prepare numba without a break."""
+    """Let the first function that a process loads or compiles prepare numba uninterrupted."""
     load = function._cache.load_overload
 
     def prepared(signature: object, context: Any) -> Any:
@@ -315,8 +321,8 @@ def _prepare(context: Any) -> None:
 def _used_by(function: Callable[..., Any], seen: set[Any]) -> tuple[Hashable, ...]:
     """Return the sources of ``function``'s machine code other than its file.
 
-    These are constants of the module and the files of compiled functions that it calls, directly or
-    through others.
+    These are the constants of its module that it uses, and the files of the compiled functions that
+    it calls, directly or through other functions.
     """
     found: list[Hashable] = []
     for name in sorted(_names(function.__code__)):

@@ -14,8 +14,8 @@ from types import ModuleType
 def collecting_no_garbage() -> Iterator[None]:
     """Import without garbage collection, and exclude the imported objects from later collections.
 
-    Imports create a hundred thousand objects that stay until the program ends. Searching them for
-    garbage takes a tenth of the import time, and as much again at exit.
+    Imports create a hundred thousand objects, which stay until the program ends. A search for
+    garbage among them takes a tenth of the import time, and the same time again at exit.
     """
     gc.disable()
     try:
@@ -41,32 +41,32 @@ def import_and_call(module: str, function: str) -> str:
 
 
 def program_apart(program: str) -> tuple[str, ...]:
-    """Return the words that start a process of this interpreter with a program.
+    """Return the command line, word by word, that runs a program with this interpreter.
 
-    The process imports nothing from the folder where it starts: that may be a project folder with a
-    file named like a module, such as ``token.py``.
+    The process imports nothing from its working directory, because this may be a project folder
+    with a file that is named like a module, such as ``token.py``.
     """
     return sys.executable, "-P", "-c", program
 
 
 def later(package: str, homes: Mapping[str, str]) -> Callable[[str], object]:
-    """Return a module's ``__getattr__`` that imports each name when it is first asked for.
+    """Return a module's ``__getattr__`` that imports each name when it is first used.
 
-    A package that re-exports names so costs its importers only the files that they use:
+    An import of a package with re-exported names then loads only the files that are used:
     ``tl.shaper`` needs neither the readers of jobs nor the models of machines.
 
     Parameters
     ----------
     package
-        Name of the package whose ``__getattr__`` this is.
+        Name of the package that gets the ``__getattr__``.
     homes
-        Names by the file of the package that defines them, with blanks between them. None may be
-        the name of a file: the package has the file by this name as soon as anyone imports it.
+        File of the package -> names that the file defines, separated by blanks. A name must not be
+        the name of a file: after an import of this file the name would stand for the file.
 
     Raises
     ------
     AttributeError
-        By the returned function, for a name that no file defines.
+        Raised by the returned function, for a name that no file defines.
 
     >>> later("threadline.base", {"arrays": "read_only"})("read_only").__module__
     'threadline.base.arrays'

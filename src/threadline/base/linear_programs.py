@@ -1,4 +1,4 @@
-"""Solver for small, dense linear programs: the simplex method first."""
+"""Solver for small, dense linear programs, which tries the simplex method first."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from threadline.base.arrays import FloatArray
 
 Bounds = tuple[float | None, float | None]
 Rows = tuple[FloatArray, ArrayLike]
-"""A matrix of rows, and the value of each."""
+"""A matrix of rows, and the value or bound of each row."""
 
 QUICK: Any = {"presolve": False, "simplex_dual_edge_weight_strategy": "devex"}
 """Options of the simplex method. Presolve finds nothing to remove in a dense program and takes
@@ -29,9 +29,9 @@ def solved(
     bounds: Bounds | Sequence[Bounds],
     seconds: float | None = None,
 ) -> Any:
-    """Minimise ``cost`` @ x under rows @ x = values and rows @ x <= values.
+    """Minimise ``cost`` @ x subject to rows @ x = values (equal) and rows @ x <= values (below).
 
-    If the simplex method with ``QUICK`` fails, HiGHS solves it with its default options.
+    If the simplex method with the options ``QUICK`` fails, HiGHS is called with default options.
 
     Parameters
     ----------

@@ -1,6 +1,7 @@
 """Progress of planning, of compiling to machine code, and of any other long calculation.
 
-A progress bar reads these values. Only the standard library is imported: numba takes a second.
+A progress bar reads these values. Only the standard library is imported, because an import of numba
+takes a second.
 """
 
 from __future__ import annotations
@@ -21,9 +22,9 @@ class Compiling:
     depth
         Number of nested compilations in progress.
     began_s
-        Start of the outermost one, on the monotonic clock.
+        Start of the outermost compilation in progress, on the monotonic clock, s.
     kept
-        Whether the machine code is kept on disk; False where no folder for it can be written.
+        Whether the machine code is kept on disk; False if no folder for it can be written.
     """
 
     done_s: float = 0.0
@@ -59,10 +60,10 @@ class PlanningSoFar:
     Attributes
     ----------
     motion_s
-        Planned length of the motion, s; 0 while unknown.
+        Duration of the motion planned so far, s; 0 while unknown.
     round_, rounds
-        Passes of timing done over the motion, and their largest number; 0 where one pass plans it
-        piece by piece.
+        Number of timing passes done over the motion, and largest number of passes; 0 if a single
+        pass plans the motion piece by piece.
     """
 
     motion_s: float = 0.0
@@ -107,16 +108,16 @@ class WritingSoFar:
     high: float = 0.0
 
     def begin(self) -> None:
-        """Start anew."""
+        """Start again at 0 for a new file."""
         self.share = self.low = self.high = 0.0
 
     def pass_to(self, high: float) -> None:
-        """Start a pass over the motion, at whose end the share ``high`` is done."""
+        """Start a pass over the motion; at the end of the pass the share ``high`` is done."""
         self.low, self.high = max(self.share, self.low), max(high, self.high)
         self.share = self.low
 
     def reach(self, motion_s: float, whole_s: float) -> None:
-        """Set how far the present pass is in the motion, s, of ``whole_s``.
+        """Set how far the present pass has come in the motion: to ``motion_s`` of ``whole_s``, s.
 
         >>> written = WritingSoFar()
         >>> written.pass_to(0.5)
@@ -135,14 +136,14 @@ WRITING = WritingSoFar()
 _UNDER_WAY = 0.98
 """Largest reported share of an unfinished search, even if it takes longer than expected."""
 Progress = Callable[[str, float], None]
-"""Called with the name of the work and the fraction done."""
+"""Called with the name of the work and the share done, 0 to 1."""
 
 
 class TrialShares:
-    """Share done of a search by trials: it never falls, and is 1 for nothing but its end.
+    """Share done of a search by trials: it never falls, and it is 1 only at the end of the search.
 
-    A search that learns how many trials are left spreads the rest of the share over them, so that
-    neither a wrong guess nor a second guess takes the share back or lets it stand.
+    When a search learns how many trials are left, the remaining share is spread over them. A wrong
+    first guess, or a later one, therefore neither lowers the share nor stops its growth.
 
     Parameters
     ----------
@@ -151,7 +152,7 @@ class TrialShares:
     work
         The work, in words.
     left
-        Number of trials that are expected.
+        Expected number of trials.
 
     Examples
     --------
@@ -188,14 +189,14 @@ class TrialShares:
 
 
 def part_of(progress: Progress | None, begun: float, part: float) -> Progress | None:
-    """Return a callback for a part of a work, which begins at the share ``begun`` of it."""
+    """Return a callback for a part of a work, which begins when the share ``begun`` is done."""
     return None if progress is None else lambda work, share: progress(work, begun + part * share)
 
 
 def never_back(progress: Progress | None) -> Progress | None:
-    """Return a callback that reports the largest fraction so far; None for None.
+    """Return a callback that reports the largest share so far; None for None.
 
-    Searches that follow each other know only their own number of trials, and so begin at 0 again.
+    Searches that follow each other know only their own number of trials, and each begins at 0.
 
     >>> shares = []
     >>> forwards = never_back(lambda work, share: shares.append(share))

@@ -17,21 +17,21 @@ from typing import Any, BinaryIO
 from threadline.errors import InputError, JobError, Place
 
 _INPUTS: ContextVar[dict[tuple[int, int], str] | None] = ContextVar("inputs", default=None)
-"""(device, inode) -> name of every file read within ``noting_inputs``."""
+"""(device, inode) -> name, of every file that is read within ``noting_inputs``."""
 _WITHIN: ContextVar[Path | None] = ContextVar("within", default=None)
 """The folder to which reading is limited; None for no limit."""
 
 
 def refuse_special(path: Path) -> None:
-    """Refuse a pipe, a device or a socket: opening or reading it may block for ever.
+    """Refuse a pipe, a device or a socket: opening or reading it may block forever.
 
-    Every reader calls this first, so it also notes the file as an input.
+    Every reader calls this function first, so it also notes the file as an input.
 
     Raises
     ------
     OSError
-        If ``path`` is a special file, is inaccessible, or is outside the folder of
-        ``reading_within``. A folder is not refused: opening it raises an error anyway.
+        If ``path`` is a special file, is inaccessible, or is outside of the folder of
+        ``reading_within``. A folder is not refused, because opening it raises an error anyway.
     """
     if (folder := _WITHIN.get()) is not None:
         _refuse_outside(path, folder)
@@ -43,9 +43,10 @@ def refuse_special(path: Path) -> None:
 
 @contextmanager
 def reading_within(folder: Path) -> Iterator[None]:
-    """Read only files in ``folder`` within the block, and follow no link below it.
+    """Allow the block to read only files in ``folder``, and to follow no link below it.
 
-    A file from another person may name any other file on this computer.
+    This protects against a file from another person, which may name any other file on this
+    computer.
     """
     mark = _WITHIN.set(folder)
     try:
@@ -55,7 +56,7 @@ def reading_within(folder: Path) -> Iterator[None]:
 
 
 def within_folder(path: Path) -> Path:
-    """Return a relative path as one in the folder of ``reading_within``; unchanged elsewhere."""
+    """Return a relative path as a path in the folder of ``reading_within``, if there is one."""
     folder = _WITHIN.get()
     return path if folder is None or path.is_absolute() else folder / path
 
@@ -73,7 +74,7 @@ def _refuse_outside(path: Path, folder: Path) -> None:
 
 @contextmanager
 def noting_inputs() -> Iterator[None]:
-    """Note every file that is read within the block; blocks may be nested."""
+    """Note every file that the block reads; such blocks may be nested."""
     before = _INPUTS.get()
     mark = _INPUTS.set({} if before is None else before)
     try:
@@ -83,7 +84,7 @@ def noting_inputs() -> Iterator[None]:
 
 
 def note_input(path: Path, status: os.stat_result | None = None) -> None:
-    """Note ``path`` as an input, if within ``noting_inputs``."""
+    """Note ``path`` as an input, inside a block ``noting_inputs``."""
     noted = _INPUTS.get()
     if noted is None:
         return
@@ -93,7 +94,10 @@ def note_input(path: Path, status: os.stat_result | None = None) -> None:
 
 
 def input_behind(path: Path) -> str | None:
-    """Return the name under which the file at ``path`` was read, links followed; None if not."""
+    """Return the name under which the file at ``path`` was read; None if it was not read.
+
+    Links are followed.
+    """
     noted = _INPUTS.get()
     if not noted:
         return None
@@ -134,11 +138,12 @@ class KnownFile:
     Parameters
     ----------
     path
-        Absolute: another process may have another working directory.
+        Absolute path, because another process may have another working directory.
     sha256
-        Hash of its content.
+        Hash of the content.
     size, modified_ns
-        While both are unchanged, the content counts as unchanged without reading it.
+        Size in bytes, and time of modification. While both are unchanged, the content counts as
+        unchanged and is not read again.
     """
 
     path: Path
@@ -162,7 +167,7 @@ class KnownFile:
         return cls(path.absolute(), digest, status.st_size, status.st_mtime_ns)
 
     def __reduce__(self) -> tuple[Callable[..., Any], tuple[Any, ...]]:
-        # No file has the modification time -1, so the receiving process hashes the content once.
+        # No file has the modification time -1, so the receiving process hashes the content itself.
         return KnownFile, (self.path, self.sha256, self.size, -1)
 
     def is_unchanged(self) -> bool:
@@ -235,13 +240,13 @@ def read_text(
     Raises
     ------
     InputError
-        Of the class ``error``, if the file cannot be read, is too large or is not UTF-8.
+        An error of the class ``error``, if the file cannot be read, is too large or is not UTF-8.
     """
     try:
         refuse_special(path)
         size = path.stat().st_size
         content = path.read_bytes() if size <= most_bytes else b""
-    except (OSError, ValueError) as failure:  # a null in a name is a ValueError
+    except (OSError, ValueError) as failure:  # a null character in a name is a ValueError
         why = failure.strerror if isinstance(failure, OSError) else failure
         raise error(
             f"cannot read {str(path)[:200]!r}: {why}", remedy=f"Give a {what} that can be read."

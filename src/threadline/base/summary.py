@@ -12,11 +12,11 @@ from threadline.base.wording import plain
 __all__ = ["MOST_ROWS", "Summarised", "Summary", "html_table"]
 
 MOST_ROWS = 7
-"""Rows of a table that an answer prints: with title, header and the lines below, ten in all."""
+"""Largest number of rows that an answer prints: with title, header and closing lines ten lines."""
 
 
 class Summary(NamedTuple):
-    """Texts of the table of an answer: its title, header, every row, and a line below."""
+    """Texts of the table of an answer: its title, header, all rows, and a closing line."""
 
     title: str
     header: Sequence[str]
@@ -25,7 +25,7 @@ class Summary(NamedTuple):
 
 
 class Summarised(ABC):
-    """Prints ``_summary()`` as a table; an answer has many more fields than a reader wants."""
+    """Base of answers that print ``_summary()`` as a table instead of all their fields."""
 
     __slots__ = ()
 
@@ -57,7 +57,7 @@ def html_table(summary: Summary) -> str:
 
 
 def _shortened(summary: Summary) -> Summary:
-    """Return a table with the first rows only; the line below says how many are left out."""
+    """Return a table with only the first rows; its closing line says how many are left out."""
     more = len(summary.rows) - MOST_ROWS
     if more <= 0:
         return summary

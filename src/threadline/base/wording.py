@@ -1,8 +1,8 @@
 """Make text from users and from other libraries safe to print.
 
 Names of jobs and machines, titles, steps, tags and file names may contain any text. This module has
-one function for each kind of output, so that no such text ends a comment, begins a command, or
-controls a terminal. Only the standard library is imported here.
+one function for each kind of output, so that such a text cannot end a comment, begin a command, or
+control a terminal. Only the standard library is imported here.
 """
 
 from __future__ import annotations
@@ -15,16 +15,16 @@ from collections.abc import Iterable, Mapping
 from typing import Any
 
 _DRIVING = frozenset({"Cc", "Cf", "Cs", "Co", "Cn", "Zl", "Zp"})
-"""Unicode categories that are always escaped: controls, marks that reverse the direction of
-writing, lone surrogates (from file names that are not UTF-8), private or unassigned code points,
+"""Unicode categories that are always escaped: control characters, marks that reverse the direction
+of writing, lone surrogates (from file names that are not UTF-8), private or unassigned code points,
 and line separators."""
 
 
 def plain(text: str) -> str:
     r"""Return ``text`` as one line of visible characters.
 
-    Other characters are escaped as in a Python string. Use it for terminals, XML, SVG and HTML;
-    escape their markup afterwards.
+    Other characters are escaped as in a Python string. Use this function for terminals, XML, SVG
+    and HTML; escape the markup of the latter afterwards.
 
     >>> plain("a\x1b[2Jb\nc"), plain("10 \u00b5s"), plain("\u202etxt.exe"), plain("\udcff")
     ('a\\x1b[2Jb\\nc', '10 µs', '\\u202etxt.exe', '\\udcff')
@@ -48,10 +48,11 @@ def ascii_only(text: str) -> str:
 
 
 def st_comment(text: str) -> str:
-    """Return ``text`` made safe for a ``(* comment *)`` of IEC 61131-3 text: it cannot end it.
+    """Return ``text`` in a form that cannot end a ``(* comment *)`` of IEC 61131-3.
 
-    The third edition of the standard nests comments and adds ``//`` and ``/* */``. Some tools also
-    read ``{pragmas}``, ``@`` tags or quoted strings in comments. All these marks are broken up.
+    The third edition of the standard allows nested comments and adds ``//`` and ``/* */``. Some
+    tools also read ``{pragmas}``, ``@`` tags or quoted strings in comments. All these marks are
+    broken up.
 
     >>> st_comment("a *) b := TRUE; (* c"), st_comment("{x}**"), st_comment("// @END")
     ('a * ) b := TRUE; ( * c', '[x]* *', '/ / at END')
@@ -61,10 +62,10 @@ def st_comment(text: str) -> str:
 
 
 def nc_comment(text: str) -> str:
-    """Return ``text`` made safe for a comment behind the ``;`` of a part program.
+    """Return ``text`` in a form that is safe for a comment after ``;`` in a part program.
 
-    Brackets begin comments and messages to the operator (MSG, DEBUG, PRINT) and end them, ``%``
-    ends a program, and a second ``;`` or a ``#`` is a comment or a parameter to some.
+    Brackets begin and end comments and messages to the operator (MSG, DEBUG, PRINT), and ``%`` ends
+    a program. For some controllers a second ``;`` begins a comment, and ``#`` a parameter.
 
     >>> nc_comment("a) M3 ; (MSG,stop) %"), nc_comment("#1=2")
     ('a] M3 , [MSG,stop] _', '_1=2')
@@ -82,10 +83,10 @@ def toml_string(text: str) -> str:
 
 
 def json_line(value: Any) -> str:
-    """Return ``value`` as JSON without any character that a reader takes for a line break.
+    """Return ``value`` as JSON on one line, without characters that may count as line breaks.
 
-    Text is unchanged unless it contains a character that ``plain`` would escape: then all
-    characters outside ASCII are escaped.
+    If the text contains a character that ``plain`` would escape, all characters outside of ASCII
+    are escaped; otherwise the text is unchanged.
     """
     text = json.dumps(value, ensure_ascii=False)
     return text if plain(text) == text else json.dumps(value)
@@ -166,14 +167,16 @@ _RANGES = {
 
 
 def toml_fault(error: Exception, text: str) -> tuple[str, int]:
-    """Return the fault of a TOML file and its line: 0 if unknown, the last line at its end.
+    """Return the fault of a TOML file, and its line.
+
+    The line is 0 if it is unknown, and the last line if the fault is at the end of the file.
 
     Parameters
     ----------
     error
-        From ``tomllib``: ``TOMLDecodeError``, or ``RecursionError`` for deep nesting.
+        Error from ``tomllib``: ``TOMLDecodeError``, or ``RecursionError`` for deep nesting.
     text
-        The file.
+        Content of the file.
     """
     if isinstance(error, RecursionError):
         return "the file is nested too deeply", 0
@@ -199,8 +202,8 @@ def line_in_rows(text: str, rows: str, index: int | None, key: str) -> int:
     rows, index
         Name of the array, ``[[rows]]``, and index of the table; None for the top of the file.
     key
-        The key to find. If it is missing, the result is the line of the table's header, or 0 if
-        that is missing, too.
+        The key to find. If it is missing, the result is the line of the table's header, or 0 if the
+        header is missing as well.
     """
     is_header = re.compile(rf"\s*\[\[\s*{re.escape(rows)}\s*\]\]")
     is_key = re.compile(rf'\s*"?{re.escape(key)}"?\s*=')
@@ -279,7 +282,7 @@ def _shown(value: object) -> str:
 
 
 def grouped(warnings: Iterable[str]) -> list[str]:
-    """Merge warnings that differ only in a number and the part of the machine.
+    """Merge warnings that differ only in numbers and in the part of the machine.
 
     >>> grouped(["axes.X: 3 A of 2 A", "axes.Y: 4 A of 2 A", "slow", "slow"])
     ['axes.X: 3 A of 2 A (likewise axes.Y)', 'slow (2 times)']

@@ -1,8 +1,9 @@
-"""The one door through which a batch is calculated: on this computer, or on a cluster.
+"""The single place at which a batch is calculated: on this computer, or on a cluster.
 
-A search hands its items to ``answers`` and gets the answers in the order of the items, to the same
-bits wherever they were calculated. ``working_on`` says where: everything that is asked inside it
-goes to the given workers, and no function in between takes an argument for that.
+A search passes its items to ``answers`` and gets the answers in the order of the items. The bits of
+an answer do not depend on the computer that calculated it. ``working_on`` selects the computers:
+every batch inside its block goes to the given workers, so that the functions in between need no
+argument for them.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ R = TypeVar("R")
 R_co = TypeVar("R_co", covariant=True)
 
 Done = Callable[[float], None]
-"""Called with the number of judged machines since the call before; a part of one counts, too."""
+"""Called with the number of machines judged since the last call; it may be a fraction."""
 
 
 class Work(Protocol[T_contra, R_co]):
@@ -31,7 +32,7 @@ class Work(Protocol[T_contra, R_co]):
     """
 
     def answer(self, item: T_contra, done: Done | None = None, /) -> R_co:
-        """Return the answer to one item; ``done`` counts the machines of this item alone."""
+        """Return the answer to one item; ``done`` counts only the machines of this item."""
         ...
 
     def machines(self, item: T_contra, /) -> int:
@@ -39,7 +40,7 @@ class Work(Protocol[T_contra, R_co]):
         ...
 
     def known(self) -> bytes:
-        """Return the bits of an answer that every computer must come to."""
+        """Return the bits of an answer that every computer must reproduce."""
         ...
 
 
@@ -48,7 +49,7 @@ class Workers(Protocol):
 
     @property
     def cores(self) -> int:
-        """Number of items that are answered at once; at least 1."""
+        """Number of items that are answered at the same time; at least 1."""
         ...
 
     def answers(self, work: Work[T, R], items: Iterable[T], done: Done | None) -> Iterator[R]:
@@ -57,17 +58,17 @@ class Workers(Protocol):
 
 
 _WORKERS: ContextVar[Workers | None] = ContextVar("workers", default=None)
-_AHEAD = 2  # items for each thread that are taken before the first answer is read
+_AHEAD = 2  # number of items per thread that are taken before the first answer is read
 
 
 def workers() -> Workers | None:
-    """Return the workers that answer at present; None for this computer alone."""
+    """Return the workers that answer at present; None if this computer answers."""
     return _WORKERS.get()
 
 
 @contextmanager
 def working_on(chosen: Workers) -> Iterator[None]:
-    """Let ``chosen`` answer all batches that are started inside."""
+    """Let ``chosen`` answer all batches that are started inside the block."""
     before = _WORKERS.set(chosen)
     try:
         yield
@@ -85,16 +86,17 @@ def answers(
 ) -> Iterator[R]:
     """Yield the answer to each item, in their order; items are taken a few at a time.
 
-    Closed early, as an interrupt closes it, it ends the answers under way at their next ``done``.
+    If the iterator is closed early, for example by an interrupt, the answers in progress end at
+    their next call of ``done``.
 
     Parameters
     ----------
     done
-        Called with the number of machines that were answered since the call before.
+        Called with the number of machines that were answered since the last call.
     threads
-        Items that are answered at once where this computer answers them.
+        Number of items that are answered at the same time, if this computer answers them.
     here
-        Whether this computer answers anyhow, because a single item is not worth sending.
+        Whether this computer answers in any case, because a single item is not worth sending.
 
     >>> class Squares:
     ...     def answer(self, item, done=None):
@@ -116,7 +118,7 @@ def _in_threads(
     lock, ended = Lock(), Event()
 
     def report(count: float) -> None:
-        if ended.is_set():  # nobody waits for the rest of this answer
+        if ended.is_set():  # the rest of this answer is no longer needed
             raise CancelledError
         if done is not None:
             with lock:
@@ -126,8 +128,8 @@ def _in_threads(
     waiting: deque[Future[R]] = deque()
     try:
         for item in items:
-            # A thread of a pool has no context of its own: progress is reported to the command
-            # that asked.
+            # A thread of a pool does not inherit the context, which says to which command progress
+            # is reported.
             waiting.append(pool.submit(copy_context().run, work.answer, item, report))
             if len(waiting) >= _AHEAD * threads:
                 yield waiting.popleft().result()

@@ -2,8 +2,8 @@
 
 Every file is written under a temporary name in its folder and renamed at the end, in steps that can
 be undone. No output replaces an input file, a read-only file, a folder, a pipe or a device; links
-are followed. Standard output is written last. Missing parent folders are made. Signals that
-end the program are held back while files are renamed.
+are followed. Standard output is written last. Missing parent folders are made. Signals that end the
+program are held back while files are renamed.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from typing import IO
 from threadline.base.reading import input_behind, naming
 from threadline.errors import OptionError
 
-_PREFIX = 80  # characters of the file's name in the temporary name
+_PREFIX = 80  # number of characters of the file's name that the temporary name begins with
 _STDOUT = 1
 _ANY_WRITES = 0o222
 _REMEDY = "Give another path."
@@ -44,9 +44,9 @@ def check_output(path: Path) -> None:
         return
     try:
         status = path.stat()
-    except (FileNotFoundError, NotADirectoryError):  # the folder is checked when it is made
+    except (FileNotFoundError, NotADirectoryError):  # a missing folder is checked when it is made
         return
-    except (OSError, ValueError) as error:  # a loop of links, a null in the name
+    except (OSError, ValueError) as error:  # for example a loop of links, or a null in the name
         why = getattr(error, "strerror", None) or error
         raise OptionError(f"cannot write {str(path)!r}: {why}", remedy=_REMEDY) from error
     if stat.S_ISDIR(status.st_mode):
@@ -67,12 +67,13 @@ def check_output(path: Path) -> None:
 
 
 def check_machine_output(path: Path) -> None:
-    """Refuse a path that is no name for a machine file, or must not be overwritten.
+    """Refuse a path that is not a name for a machine file, or that must not be overwritten.
 
     Raises
     ------
     OptionError
-        If ``path`` does not end in .toml, is the name of a specification, or as ``check_output``.
+        If ``path`` does not end in .toml or is the name of a specification, or if ``check_output``
+        refuses it.
     """
     if path.suffix != ".toml" or path.name.endswith(".spec.toml"):
         raise OptionError(
@@ -83,7 +84,7 @@ def check_machine_output(path: Path) -> None:
 
 
 def is_stdout(path: Path) -> bool:
-    """Return whether ``path`` is the present standard output, and not a replaceable file."""
+    """Return whether ``path`` is the present standard output and not a file to be replaced."""
     try:
         status, own = path.stat(), os.fstat(_STDOUT)
     except (OSError, ValueError):
@@ -109,7 +110,7 @@ class _Together:
     stack: ExitStack
     moves: list[_Move] = field(default_factory=list)
     folders: list[Path] = field(default_factory=list)
-    unrequested: list[Path] = field(default_factory=list)  # folders that no option named
+    unrequested: list[Path] = field(default_factory=list)  # made folders that no option named
 
 
 @dataclass(slots=True)
@@ -126,7 +127,7 @@ _APPEARED: ContextVar[Appeared | None] = ContextVar("_APPEARED", default=None)
 
 @contextmanager
 def noting_outputs() -> Iterator[Appeared]:
-    """Give a list that is filled with the files that appear and the folders made for them."""
+    """Yield an object that collects the files that appear, and the folders made for them."""
     appeared = Appeared()
     mark = _APPEARED.set(appeared)
     try:
@@ -151,7 +152,7 @@ def together(*outputs: Path | None) -> Iterator[None]:
     OptionError
         If an output must not be overwritten.
     OSError
-        If a file cannot be renamed to its place; the files before it are restored.
+        If a file cannot be renamed to its place; the files renamed before it are restored.
     """
     if _TOGETHER.get() is not None:
         _make_folders(outputs)
@@ -159,7 +160,7 @@ def together(*outputs: Path | None) -> Iterator[None]:
         return
     with ExitStack() as stack:
         pending = _Together(stack)
-        stack.callback(_unmake, pending)  # last, when the folders are empty again
+        stack.callback(_unmake, pending)  # runs last, when the folders are empty again
         mark = _TOGETHER.set(pending)
         try:
             _make_folders(outputs)
@@ -177,21 +178,21 @@ def together(*outputs: Path | None) -> Iterator[None]:
 
 @contextmanager
 def staged_file(path: Path) -> Iterator[IO[bytes]]:
-    """Open a temporary file that becomes ``path`` at the end of ``together`` or of this block.
+    """Open a temporary file that becomes ``path`` at the end of ``together``, else of this block.
 
     The ``name`` of the opened file is its temporary path.
 
     Raises
     ------
     OptionError, OSError
-        As ``together``.
+        As for ``together``.
     """
     check_output(path)
     with together():
         pending = _pending()
         with naming(path, _real(path).parent):
             folder = Path(tempfile.gettempdir()) if is_stdout(path) else _made(_real(path).parent)
-        with naming(path, folder), uninterrupted():  # the file is noted, to be removed later
+        with naming(path, folder), uninterrupted():  # note the file, so that it will be removed
             handle, name = tempfile.mkstemp(dir=folder, prefix=f".{path.name[:_PREFIX]}.")
             made = Path(name)
             pending.stack.callback(made.unlink, missing_ok=True)
@@ -204,17 +205,17 @@ def staged_file(path: Path) -> Iterator[IO[bytes]]:
 
 @contextmanager
 def staging_folder(folder: Path) -> Iterator[Path]:
-    """Give a temporary folder whose files appear in ``folder`` at the end of ``together``.
+    """Yield a temporary folder whose files appear in ``folder`` at the end of ``together``.
 
     Raises
     ------
     OptionError, OSError
-        As ``together``.
+        As for ``together``.
     """
     with together():
         pending = _pending()
         real = _real(folder)
-        with naming(folder, real), uninterrupted():  # what is made is noted, to be removed
+        with naming(folder, real), uninterrupted():  # note made folders, so that they are removed
             home = _made(real, requested=True)
             temporary = tempfile.TemporaryDirectory(dir=home, prefix=".threadline-")
             made = Path(pending.stack.enter_context(temporary))
@@ -231,7 +232,7 @@ def remove_with(path: Path) -> None:
 
 
 def content_of(path: Path) -> Path:
-    """Return the file that holds the bytes of ``path`` now: a temporary one until it appears."""
+    """Return the file that holds the bytes of ``path`` now: until it appears a temporary file."""
     pending = _TOGETHER.get()
     staged = [m.made for m in pending.moves if m.requested == path and m.made] if pending else []
     return staged[-1] if staged else path
@@ -248,12 +249,12 @@ def _real(path: Path) -> Path:
 
 
 def _made(folder: Path, *, requested: bool = False) -> Path:
-    """Make ``folder`` and its parents; they are removed again if the block fails.
+    """Make ``folder`` and its parents; they are removed again if the block ``together`` fails.
 
     Parameters
     ----------
     requested
-        Whether the user named the folder itself instead of a file in it.
+        Whether the user named this folder itself, and not a file in it.
     """
     missing = [p for p in (folder, *folder.parents) if not os.path.lexists(p)]
     for each in reversed(missing):
@@ -273,7 +274,7 @@ def _make_folders(outputs: Iterable[Path | None]) -> None:
 
 def _unmake(pending: _Together) -> None:
     for folder in reversed(pending.folders):
-        with suppress(OSError):  # the folder holds other files now
+        with suppress(OSError):  # the folder may contain other files now
             folder.rmdir()
 
 
@@ -289,12 +290,12 @@ def _grant(made: Path, path: Path) -> None:
 
 
 def _commit(pending: _Together) -> None:
-    """Put every file in its place; put everything back as it was if one cannot be."""
-    undo: list[tuple[Path, Path | None]] = []  # a place, and the backup of its old file
+    """Put every file in its place; if that fails for one file, restore all files."""
+    undo: list[tuple[Path, Path | None]] = []  # each place, and the backup of its old file
     to_stdout = []
     places: dict[Path, Path] = {}
     for move in pending.moves:
-        check_output(move.requested)  # again: files may have been read and folders made since
+        check_output(move.requested)  # again: files may have been read or folders made since then
         other = places.setdefault(move.place, move.requested)
         if move.made is not None and places[move.place] is not move.requested:
             raise OptionError(
@@ -325,7 +326,7 @@ def _commit(pending: _Together) -> None:
 
 
 def _kept(move: _Move, stack: ExitStack) -> Path | None:
-    """Back up the file at ``move.place`` beside it; return the backup, None without a file."""
+    """Back up the file at ``move.place`` beside it; return the backup, None if there is no file."""
     if not move.place.exists():
         return None
     folder = tempfile.TemporaryDirectory(

@@ -83,7 +83,8 @@ def actuator_of(machine: Machine, axis: str) -> Actuator:
 def fastest(machine: Machine, axis: str) -> float | None:
     """Return the steady speed of an axis at full output of the motor without load, m/s or rad/s.
 
-    A load behind a belt cannot exceed it for long. None if the speed never settles.
+    A load that the motor drives through a belt cannot exceed this speed for long. None if the speed
+    never settles.
     """
     dc_gain, amplifier = actuator_of(machine, axis).dc_gain, machine.drive_of(axis).amplifier
     if dc_gain is None:
@@ -113,7 +114,7 @@ def _loaded(machine: Machine, axis: str) -> float | None:
 
 HERTZ = 1.0 / (2.0 * np.pi)
 _SCALE_RAD_S = 100.0
-_LEAST_GAIN, _MOST_GAIN = 1e-100, 1e100  # V/count: their squares are still finite
+_LEAST_GAIN, _MOST_GAIN = 1e-100, 1e100  # V/count: the squares of these are still finite
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -125,7 +126,7 @@ class LoopFigures:
     model
         The model: ``"sampled"`` or ``"continuous"``.
     grid_rad_s, response
-        (k,) frequencies, fine enough to follow the open-loop response, and that response.
+        (k,) frequencies, dense enough to follow the open-loop response, and the response.
     margins
         Crossovers and margins of the open loop.
     poles
@@ -133,8 +134,8 @@ class LoopFigures:
     unstable
         Number of unstable closed-loop poles.
     bandwidth_hz
-        Frequency at which the closed loop, at the sensor, has fallen by 3 dB; None if it never
-        falls.
+        Frequency at which the gain from reference to sensor has fallen by 3 dB; None if it never
+        falls so far.
     """
 
     model: Model
@@ -184,11 +185,11 @@ class AxisAnalysis:
     axis, loop
         Name of the axis, and its loop.
     sampled, continuous
-        Figures of the sampled loop, and of the continuous loop with exact dead time; None for a
-        state-space controller, which has no continuous form.
+        Figures of the sampled loop, and of the continuous loop with exact dead time. ``continuous``
+        is None for a state-space controller, which has no continuous form.
     routh_gains
         Intervals of gain factors with a stable loop, by the textbook method: Routh's array with
-        Pade's first-order approximation of the dead time. None where loops share bodies.
+        Pade's first-order approximation of the dead time. None if loops share bodies.
     locked, free
         Modes with locked motors, and with free motors.
     actuator
@@ -196,7 +197,8 @@ class AxisAnalysis:
     plant_poles, plant_zeros
         Poles and zeros of the plant from this axis' voltage to its sensor, rad/s.
     steps
-        Step responses by output, ``"measured"`` and ``"load"``, as far as they exist.
+        Step responses by output, ``"measured"`` and ``"load"``; a response that cannot be computed
+        is left out.
     """
 
     axis: str
@@ -317,7 +319,7 @@ def loop_figures(loop: Loop, model: Model) -> LoopFigures:
         closed_loop = loop.closed()
         z = closed_loop.eigenvalues()
         unstable = len(unstable_eigenvalues(closed_loop.A))
-        # A pole within 0.1 of the origin decays within a tick, so its s has no meaning.
+        # A pole with |z| < 0.1 decays within a tick, so its value in the s plane has no meaning.
         poles = np.asarray(np.log(z[np.abs(z) > 0.1]) / loop.period_s, dtype=np.complex128)
     else:
         try:
@@ -360,8 +362,8 @@ def _verdict(axis: str, figures: LoopFigures) -> str:
 def unstable_loops(machine: Machine) -> list[str]:
     """Return one sentence, with the margin, for every axis whose sampled loop is unstable.
 
-    The continuous loop is not computed: if a clock is a thousand times too slow, its dead time of
-    half a tick turns the phase thousands of times.
+    The continuous loop is not computed: if a clock is a thousand times too slow, the dead time of
+    half a tick rotates the phase thousands of times, and the calculation would take long.
     """
     found = []
     for axis, loop in axis_loops(machine).items():

@@ -1,16 +1,17 @@
-r"""Cross-coupled contouring of two axes, as numbers of the kind ``state-space``.
+r"""Cross-coupled contouring of two axes, as the matrices of a ``state-space`` controller.
 
 On a line in the direction :math:`\theta` the contour error of two axes is :math:`\epsilon = n^T e`
 with the normal :math:`n = (-\sin\theta, \cos\theta)` and the errors e of the axes at the tool. A
-cross-coupled controller gives each axis its share of a compensation of that error (Kulkarni and
-Srinivasan, "Optimal contouring control of multi-axial feed drive servomechanisms", Journal of
-Engineering for Industry 111, 1989). Here the compensation goes through the filters that the axes
-have: each acts on the errors :math:`e + k n n^T e`, so that the error across the line weighs
-:math:`1 + k`, and the lag along it as before. Where both axes answer alike the error has no part
-across the line, and the controller is the controller of the separate axes.
+cross-coupled controller gives each axis its share of a compensation of the contour error (Kulkarni
+and Srinivasan, "Optimal contouring control of multi-axial feed drive servomechanisms", Journal of
+Engineering for Industry 111, 1989). Here the existing controller of each axis provides the
+compensation: it acts on its component of :math:`e + k n n^T e` instead of e. The error across the
+line then has the weight :math:`1 + k`, and the lag along the line keeps the weight 1. If both axes
+have the same closed loop, the error has no component across the line, and the coupling has no
+effect.
 
-The direction is fixed, because the matrices are: on lines in another direction the coupling takes
-lag along the line for an error across it.
+The direction is fixed, because the matrices are constant. On lines in another direction the
+coupling mistakes a part of the lag along the line for an error across it.
 """
 
 from __future__ import annotations
@@ -38,9 +39,9 @@ def cross_coupled(
     axes
         The two axes.
     direction_rad
-        Direction of the line, from the first axis to the second.
+        Direction of the line: angle from the first axis towards the second.
     coupling
-        k: added weight of the error across the line over the lag along it.
+        k: additional weight of the error across the line, relative to the lag along it.
 
     Raises
     ------
@@ -98,7 +99,7 @@ _CLAMPED = np.array([[0.0], [0.0], [1.0], [0.0]])
 def _of_one_error(
     machine: Machine, name: str
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Return a controller with the states e', e'', u', u''; its outputs are clamped."""
+    """Return a controller with the states e', e'', u', u'', where u is the clamped output."""
     (b0, b1, b2), (a1, a2) = (
         row[0] for row in difference_equation(machine, name, Values.of(machine))
     )

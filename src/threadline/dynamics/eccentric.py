@@ -1,9 +1,9 @@
-"""An axis with rigid links: motion, force and current; and play that varies with an eccentric.
+"""An axis with rigid links: motion, force and current; and play that varies with an eccentric gear.
 
-The full width of the play is ``play + width cos(angle)``. A piecewise linear system has no cosine,
-so 80 straight pieces per turn approximate it to within 2e-4 of ``width``. On a piece the edge of
-the band is ``level + slope angle``. The contact force acts along the stretch, as without
-eccentricity; its moment on the gear, ``slope`` times as large, is neglected.
+The full width of the play is ``play + width cos(angle)``. A piecewise linear system cannot contain
+a cosine, so 80 straight pieces per turn approximate the width, within 2e-4 of ``width``. On a piece
+the edge of the band is ``level + slope angle``. The contact force acts only along the stretch. Its
+moment on the gear, which is ``slope`` times the force, is neglected.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from threadline.machine import Machine
 from threadline.machine.parts import Eccentric
 from threadline.machine.quantity import LEAST_SI
 
-_CREEP = 1e-12  # m/s or rad/s: slow enough for friction only
+_CREEP = 1e-12  # m/s or rad/s: so slow that only Coulomb friction acts
 
 
 def current_needed(
@@ -50,8 +50,8 @@ def drive_needs(machine: Machine, axis: str) -> tuple[FloatArray, FloatArray]:
     Returns
     -------
     tuple
-        Two arrays (3,): for sliding friction, additionally per m/s or rad/s, and additionally per
-        m/s^2 or rad/s^2. The voltage is across the winding.
+        Two arrays (3,), current and voltage: the need due to sliding friction, the need per m/s or
+        rad/s, and the need per m/s^2 or rad/s^2. The voltage is across the winding.
     """
     drive = machine.drive_of(axis)
     turning = abs(drive_rate(machine, axis, rigid_motion(machine, axis)))
@@ -68,8 +68,9 @@ def drive_limits(
 ) -> list[tuple[float, FloatArray, str]]:
     """Return the limits of an axis' drive, each with the needs to compare with it.
 
-    Limits are the controller's output and the winding's voltage in V, and the current in A;
-    infinite where the file gives none. ``current`` and ``winding`` come from ``drive_needs``.
+    There are limits of the controller's output in V, the winding's voltage in V, and the current in
+    A. A limit that the file does not give is infinite. ``current`` and ``winding`` are the results
+    of ``drive_needs``.
 
     Returns
     -------
@@ -114,7 +115,7 @@ def drive_unit(machine: Machine, axis: str) -> str:
 
 
 def drive_rate(machine: Machine, axis: str, rates: dict[str, float]) -> float:
-    """Return the motion of an axis's drive, in rad (m), per m or rad of the axis.
+    """Return the motion of an axis's drive, rad (m), per unit motion of the axis, m or rad.
 
     Parameters
     ----------
@@ -124,7 +125,7 @@ def drive_rate(machine: Machine, axis: str, rates: dict[str, float]) -> float:
     Raises
     ------
     MachineError
-        If the drive does not turn, or turns too little for a division.
+        If the drive does not move with the axis, or moves too little for a division.
     """
     source = machine.source_of(axis)
     if source is not None:
@@ -140,9 +141,9 @@ def drive_rate(machine: Machine, axis: str, rates: dict[str, float]) -> float:
 
 
 def rigid_motion(machine: Machine, axis: str) -> dict[str, float]:
-    """Return the rate of every body when the axis moves at 1 m/s or rad/s, all links rigid.
+    """Return the rate of every body when the axis moves at 1 m/s or 1 rad/s with rigid links.
 
-    Bodies without connection to the axis have the rate 0.
+    The rate of a body without connection to the axis is 0.
     """
     bodies = list(machine.bodies)
     rows: list[FloatArray] = []
@@ -159,7 +160,7 @@ def rigid_motion(machine: Machine, axis: str) -> dict[str, float]:
         rows.append(_row(bodies, {b: q.si / part.counts.si for b, q in sensor.reads.items()}))
     wanted = np.zeros(len(rows))
     wanted[-1] = 1.0
-    # Lengths and angles differ by orders of magnitude, so least squares are scaled per body.
+    # Lengths and angles differ by orders of magnitude, so each body's column is scaled.
     matrix = np.array(rows)
     scale = np.maximum(np.abs(matrix).max(axis=0), 1e-30)
     solution = np.linalg.lstsq(matrix / scale, wanted, rcond=None)[0] / scale
@@ -176,16 +177,16 @@ _MOST_PIECES = 20_000
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Band:
-    """A varying dead band of straight pieces, for V variants.
+    """A dead band whose width varies by straight pieces, for V variants.
 
     Parameters
     ----------
     angle, angle_rate
         (V, N) rows of the gear's angle, counted from the start of the machine, and of its rate.
     width, phase
-        (V,) amplitude of the full width; angle of the gear at the start, rad.
+        (V,) amplitude of the variation of the full width; angle of the gear at the start, rad.
     first, last
-        Range of pieces, ``last`` excluded; piece j begins at j / 80 turns.
+        Numbers of the first piece, and of the piece after the last; piece j begins at j / 80 turns.
     """
 
     angle: FloatArray
@@ -199,7 +200,7 @@ class Band:
 def pieces_needed(
     machine: Machine, link: str, eccentric: Eccentric, start: dict[str, float], phase: FloatArray
 ) -> tuple[int, int]:
-    """Return ``first`` and ``last`` of a band that covers all travel and a turn on either side.
+    """Return ``first`` and ``last`` of a band that covers the travel and one more turn at each end.
 
     Parameters
     ----------
@@ -262,7 +263,8 @@ def eccentric_play(
     name, direction
         As in ``Element``.
     stretch, spring
-        (V, N) rows of the stretch, and of the force of spring and damper without the band.
+        (V, N) rows of the stretch, and of the force that spring and damper would have without the
+        band.
     stiffness, damping, play
         (V,) stiffness and damping of the spring, and the mean full width of the band.
     band
@@ -271,7 +273,7 @@ def eccentric_play(
     damped = bool((damping > 0).any())
     kinds = 5 if damped else 3
     begins = int(np.floor(float(band.phase.mean()) / (2.0 * np.pi) * PIECES_A_TURN))
-    # The simulation starts in mode 0, so pieces are numbered from the piece at the start.
+    # The simulation starts in mode 0, so the modes of the piece at the start come first.
     order = [*range(begins, band.last), *range(band.first, begins)]
     number = {piece: at for at, piece in enumerate(order)}
     modes: list[Mode] = []
@@ -306,7 +308,8 @@ def eccentric_play(
 def _edge(band: Band, play: FloatArray, piece: int) -> tuple[FloatArray, FloatArray]:
     """Return half the width on a piece as (V, N) rows, and its slope (V,) over the angle."""
     step = 2.0 * np.pi / PIECES_A_TURN
-    # Chords of a cosine lie inside it; raised chords have equal errors at their ends and middle.
+    # Chords lie on the inner side of a cosine. Chords that are moved outwards have errors of equal
+    # size at their ends and in their middle.
     raised = 2.0 / (1.0 + np.cos(0.5 * step))
     begin = np.full(len(play), raised * np.cos(piece * step))
     end = np.full(len(play), raised * np.cos((piece + 1) * step))
@@ -319,7 +322,7 @@ def _edge(band: Band, play: FloatArray, piece: int) -> tuple[FloatArray, FloatAr
 
 
 def _turned(band: Band, piece: int, number: dict[int, int], kinds: int, kind: int) -> Guard:
-    """Return the guard that leads to the adjacent pieces, in the same kind of mode."""
+    """Return the guard on the gear's angle, which leads to the same mode of an adjacent piece."""
     step = 2.0 * np.pi / PIECES_A_TURN
     before, after = number.get(piece - 1), number.get(piece + 1)
     return Guard(

@@ -1,10 +1,10 @@
 """Elements with several force laws (limits, belts, play, friction), as modes with linear guards.
 
 An element adds ``direction * (law . z)`` to the derivative of the state, where ``z = [states, held
-inputs, 1]`` and the law depends on the element's mode. A mode lasts while every guard ``low <= row
-. z <= high`` is true; the first violated guard names the next mode. A mode may also hold one state
-constant (velocity of a sticking body, limited current); a guard of such a mode may watch the force
-that would change that state.
+inputs, 1]`` and the law depends on the mode of the element. A mode lasts while every guard ``low <=
+row . z <= high`` is true; the first violated guard gives the next mode. A mode may also hold one
+state constant (the velocity of a sticking body, a limited current). A guard of such a mode may
+watch the force that would change the held state.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from threadline.base.arrays import FloatArray
 
 INFINITE = np.inf
 STAY = -1
-"""Next mode of a guard with an infinite bound, which cannot be violated."""
+"""Next mode for a bound that is infinite and so cannot be violated."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -31,9 +31,9 @@ class Guard:
         (variants, N). With None, the guard watches the net force on the state that the mode holds
         constant.
     low, high
-        (variants,) or one number for all variants.
+        (variants,) bounds, or one number for all variants.
     low_to, high_to
-        Next mode after a value below ``low``, and after a value above ``high``.
+        Next mode if the value is below ``low``, and if it is above ``high``.
     switch
         Index of the limit switch of this guard, -1 for none.
     """
@@ -83,7 +83,7 @@ class Element:
     name
         Path of its part in the machine file, such as ``"links.belt"``.
     direction
-        (variants, n): contribution of a force (or current) of 1 to the derivative of each state.
+        (variants, n): contribution of a unit force (or current) to the derivative of each state.
     modes
         Its modes; a simulation starts in the first one.
     working_mode
@@ -99,7 +99,7 @@ class Element:
 def working_rates(base: FloatArray, elements: Sequence[Element]) -> FloatArray:
     """Return (variants, n, N) ``base`` with every element in its working mode.
 
-    Constant parts of the laws are omitted, as for small motions about a working point.
+    Constant parts of the laws are omitted: the rates hold for small motions about a working point.
     """
     rates = base.copy()
     for element in elements:
@@ -118,7 +118,7 @@ def friction(
     breakaway: FloatArray,
     size: int,
 ) -> Element:
-    """Return Coulomb friction on a body: sticking, sliding forwards, sliding backwards.
+    """Return Coulomb friction on a body; modes: sticking, sliding forwards, sliding backwards.
 
     Parameters
     ----------
@@ -159,9 +159,9 @@ def belt(
     """Return a preloaded belt of two runs; each run pulls only while it is tight.
 
     The force is ``max(0, P + a s) - max(0, P - (1 - a) s)``, where ``s`` is the force of the linear
-    spring and damper. It is continuous; when one run is slack, only the stiffness of the other
-    remains. Appendix C of the stitcher thesis calls the stiffnesses of the runs ``k1`` (the short
-    run) and ``k2`` (the long run).
+    spring and damper. The force is continuous. When one run is slack, only the stiffness of the
+    other run remains. Appendix C of the stitcher thesis calls the stiffnesses of the runs ``k1``
+    (the short run) and ``k2`` (the long run).
 
     Parameters
     ----------
@@ -204,15 +204,16 @@ def play(
 ) -> Element:
     """Return a spring and damper behind a dead band; the contact pushes but never pulls.
 
-    The force of a damped contact falls to 0 while the spring is still compressed. From then until
-    the stretch re-enters the band the mode is ``separating``.
+    The force of a damped contact falls to 0 while the spring is still compressed. The mode is
+    ``separating`` from then until the stretch is within the band again.
 
     Parameters
     ----------
     name, direction
         As in ``Element``.
     stretch, spring
-        (variants, N): rows of the stretch, and of the force of spring and damper without the band.
+        (variants, N): rows of the stretch, and of the force that spring and damper would have
+        without the band.
     stiffness, width
         (variants,) stiffness of the spring, and full width of the band.
     damped
@@ -282,15 +283,15 @@ def motor(
     free
         (variants, N): the current without limits.
     current_limit
-        (variants,) in A; None without a limit.
+        (variants,) in A; None for no limit.
     voltage_modes
         For a current amplifier with a limited supply: the currents at the upper and lower limit of
-        the supply, each with its sign (+1, -1). Otherwise empty.
+        the supply voltage, each with its sign (+1, -1). Otherwise empty.
     state
         Index of the current in the state; -1 for a motor without inductance, or if the limit clips
-        the amplifier's output while the state is unlimited.
+        the amplifier's output and does not act on the state.
     net_scale
-        (variants,) factor from the derivative of that state to volts.
+        (variants,) factor from the derivative of the current state to volts.
     switches
         Guards of the limit switches that cut the supply; this function sets their next modes.
     """

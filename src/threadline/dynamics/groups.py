@@ -1,4 +1,4 @@
-"""The connected pieces of a machine's network: their motions do not affect each other."""
+"""The connected pieces of a machine's network; the motions of two pieces are independent."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from threadline.machine.controllers import StateSpaceController
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Group:
-    """Names of the parts of a connected piece of the network, in the order of the machine file."""
+    """Names of the parts of one connected piece of the network, in the order of the file."""
 
     bodies: tuple[str, ...]
     links: tuple[str, ...]
@@ -26,10 +26,10 @@ class Group:
 
 
 def connected_groups(machine: Machine) -> tuple[Group, ...]:
-    """Return the connected pieces of the network, whose motions do not affect each other.
+    """Return the connected pieces of the network; the motions of two pieces are independent.
 
-    Bodies are connected by links, drives and sensors; drives and sensors by controllers; and a
-    switch connects its axis with the drive that it cuts.
+    Links, drives and sensors connect bodies. Controllers connect drives and sensors. A limit switch
+    connects its axis with the drive whose supply it cuts.
 
     Raises
     ------

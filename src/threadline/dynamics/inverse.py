@@ -1,21 +1,21 @@
 """Exact inverse of an axis: from the motion of its load to the controller's voltage.
 
 The solution of ``x' = Q x + f(t)`` after a step T is ``x(T) = e^(QT) x(0) + int e^(Q(T-s)) f(s)
-ds``. The force is replaced by the polynomial through its known values, whose integral is exact, by
-the phi functions of Q T (Hochbruck and Ostermann, Exponential integrators, Acta Numerica 2010).
-Quadrature of the whole integrand would be inaccurate unless ``|Q| T`` is small, for instance with
-the zero k/c of a damped belt.
+ds``. Here f is replaced by the polynomial through its known values. The integral for a polynomial
+is exact, by the phi functions of Q T (Hochbruck and Ostermann, Exponential integrators, Acta
+Numerica 2010). Quadrature of the whole integrand would be accurate only if ``|Q| T`` is small,
+which is not so for instance with the zero k/c of a damped belt.
 
 From the controller's voltage u to the load y there are r integrations: ``y^(r) = C A^r x + g u``.
-The states are the load's position and derivatives and, if the plant has zeros (the Y frame of the
-stitcher), inner states that depend only on the motion, ``eta' = Q eta + R (y ... y^(r-1))``. The
-eigenvalues of Q are the zeros of the plant; an inverse exists only if all of them decay. The
-inverse includes belt, load damping, frame, motor and coil, but not the dead time: the caller sends
-the voltage earlier by it.
+The states are the position and the derivatives of the load and, if the plant has zeros (the Y frame
+of the stitcher), inner states that depend only on the motion: ``eta' = Q eta + R (y ... y^(r-1))``.
+The eigenvalues of Q are the zeros of the plant; an inverse exists only if all of them decay. The
+inverse includes belt, load damping, frame, motor and coil. It does not include the dead time: the
+caller sends the voltage earlier by the dead time.
 
 The references of feed-forward are the inverse ``1 / T0`` of the nominal machine, applied to the
 intended motion of the load. A machine with the closed loop ``T`` responds with ``T / T0``. Dead
-time, the hold of the references and their grid are the same in both and cancel.
+time, the hold of the references and the grid of the references are the same in T and T0 and cancel.
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ def decay_and_moments(Q: FloatArray, step_s: float, count: int) -> tuple[FloatAr
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Followed:
-    """Sensor, voltage and current of an axis whose load follows a motion exactly.
+    """Sensor reading, voltage and current of an axis whose load follows a motion exactly.
 
     Parameters
     ----------
@@ -77,7 +77,7 @@ class Followed:
     measured_counts
         (k,) reading of the controller's sensor, in counts.
     volts
-        (k,) voltage that acts on the plant at these instants, without dead time.
+        (k,) voltage that acts on the plant at these instants: dead time is not included.
     current_a
         (k,) current of the motor, in A; None if it is not a state of the plant.
     """
@@ -100,10 +100,10 @@ class Inverse:
     plant
         State space, with n states, from the controller's voltage to the load in m or rad.
     chain
-        The r integrations from that voltage to the load.
+        The r integrations from the controller's voltage to the load.
     from_load, from_inner
-        (n, r) and (n, n - r) matrices from the load's position and derivatives, and from the inner
-        states, to the states of the plant.
+        (n, r) matrix from the position and the derivatives of the load to the states of the plant,
+        and (n, n - r) matrix from the inner states to them.
     Q, R
         (n - r, n - r) and (n - r, r): ``eta' = Q eta + R (y ... y^(r-1))``.
     """
@@ -119,13 +119,13 @@ class Inverse:
 
     @property
     def degree(self) -> int:
-        """Number r of derivatives of the motion that the inverse needs; only the r-th may jump."""
+        """Number r of derivatives of the motion that the inverse needs; only the r-th may step."""
         return self.chain.degree
 
     def outputs(
         self, time_s: FloatArray, ladder: FloatArray, inner: FloatArray, start_si: float
     ) -> Followed:
-        """Return sensor, voltage and current, from the motion of the load and the inner states.
+        """Return sensor reading, voltage and current for a motion of the load and inner states.
 
         Parameters
         ----------
@@ -134,7 +134,7 @@ class Inverse:
         ladder
             (k, degree + 1) position of the load and its derivatives.
         inner
-            (k, n - degree) inner states, 0 at rest.
+            (k, n - degree) inner states; they are 0 at rest.
         start_si
             Position of the load before the motion, m or rad.
         """
@@ -152,7 +152,7 @@ class Inverse:
         )
 
     def _rest(self, start_si: float) -> FloatArray:
-        # Inner states are counted from their values at rest, which depend on the load's position.
+        # Inner states are relative to their values at rest, which depend on the load's position.
         if not len(self.Q) or start_si == 0.0:
             return np.zeros(len(self.plant.A))
         still = np.zeros(self.degree)
@@ -161,7 +161,7 @@ class Inverse:
 
 
 def _check_single(machine: Machine, loop: Loop) -> None:
-    """Refuse a piece with a state-space controller."""
+    """Refuse an axis whose connected piece has a state-space controller."""
     if not loop.single:
         raise MachineError(
             f"axis {loop.axis}: controllers.{machine.axes[loop.axis].controller} or one beside it "
@@ -229,10 +229,10 @@ def inverse_of(machine: Machine, axis: str, values: Values | None = None) -> Inv
 
 
 def _independent(candidates: FloatArray, taken: FloatArray, count: int) -> FloatArray:
-    """Return ``count`` combinations of the candidates that are independent of ``taken``."""
+    """Return ``count`` combinations of ``candidates`` that are independent of ``taken``."""
     if count == 0:
         return np.empty((0, candidates.shape[1]))
-    # The part of the candidates' space that is orthogonal to the taken rows.
+    # The component of the candidates' space that is orthogonal to the rows of ``taken``.
     inside = taken @ candidates.T @ candidates
     _, _, vectors = np.linalg.svd(inside @ candidates.T)
     rank = candidates.shape[0] - count
@@ -241,14 +241,15 @@ def _independent(candidates: FloatArray, taken: FloatArray, count: int) -> Float
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CornerResponse:
-    """Frequency response of the load and the motor of a machine.
+    """Frequency response of load, sensor and motor current of a machine to planned references.
 
     Parameters
     ----------
     load
         (k,) velocity of the load / intended velocity.
     sensor
-        (k,) reading of the controller's sensor / its reading on the machine of the references.
+        (k,) reading of the controller's sensor / its reading on the machine for which the
+        references were planned.
     current_s_a_m
         (k,) current of the motor / intended velocity, A s/m or A s/rad; None without a coil.
     """
@@ -284,7 +285,7 @@ def corner_responses(
 
 
 def closed_responses(machine: Machine, axis: str, omega_rad_s: FloatArray) -> CornerResponse:
-    """Return the responses of the closed loop of an axis to its reference, at the filter's ticks.
+    """Return the closed-loop responses of an axis to its reference, sampled at the filter's ticks.
 
     Parameters
     ----------
@@ -294,8 +295,8 @@ def closed_responses(machine: Machine, axis: str, omega_rad_s: FloatArray) -> Co
     Returns
     -------
     CornerResponse
-        Load in m or rad, and sensor in counts, / reference in counts; current / velocity of the
-        load.
+        ``load``: m or rad per count of the reference. ``sensor``: counts per count of the
+        reference. ``current_s_a_m``: current / velocity of the load.
     """
     loop, omega = axis_loop(machine, axis), omega_rad_s
     _check_single(machine, loop)

@@ -1,9 +1,10 @@
 """Design of lead filters for a crossover and a phase margin, from the exact frequency response.
 
-The filter ``K (z - A) / (z + B)`` has three numbers. Crossover and phase margin determine
-two. B is therefore chosen in advance: by default 1/256, the smallest value of the motion chip. At
+The filter ``K (z - A) / (z + B)`` has three numbers. Crossover and phase margin determine two of
+them. B is therefore chosen in advance: by default 1/256, the smallest value of the motion chip. At
 ``z = exp(i w T)`` the phase of the zero must be ``psi = phase margin - 180 - arg G + arg(z + B)``,
-which determines ``A = cos(w T) - sin(w T) / tan(psi)``. K then makes the loop gain 1 there.
+which determines ``A = cos(w T) - sin(w T) / tan(psi)``. K then follows from the loop gain, which is
+1 at the crossover.
 """
 
 from __future__ import annotations
@@ -60,12 +61,12 @@ class LeadDesign:
 
 
 def lead_deg(response: ComplexArray, phase_margin_deg: FloatArray | float) -> FloatArray:
-    """Return the (k,) phase that filters must add for a phase margin, degrees in -180 ... 180.
+    """Return the (k,) phase lead that filters must add for a phase margin, -180 to 180 degrees.
 
     Parameters
     ----------
     response
-        (k,) complex response of the plants at the crossovers of their loops.
+        (k,) complex responses of the plants, each at the crossover of its loop.
     phase_margin_deg
         (k,) or one number: required phase margins, in degrees.
     """
@@ -95,8 +96,8 @@ def lead_from_response(
 
     Notes
     -----
-    A zero outside the range of the motion chip, 1/256 ... 255/256, is returned, too. It is NaN
-    where no zero gives the required phase.
+    A zero outside the range of the motion chip, 1/256 ... 255/256, is returned as it is. A zero is
+    NaN if no zero gives the required phase.
     """
     z = np.exp(1j * np.asarray(omega_rad_s) * period_s)
     lead = np.radians(lead_deg(np.asarray(response), phase_margin_deg))
@@ -124,7 +125,7 @@ def design_lead(
     Raises
     ------
     OptionError
-        If a number is out of range, or no zero of the motion chip gives that margin.
+        If a number is out of range, or no zero of the motion chip gives the phase margin.
     """
     period = loop.period_s
     if not 0 < crossover_hz < 0.5 / period:

@@ -1,14 +1,14 @@
 """Learning filters: from the error of a run to the change of its references for the next run.
 
-An error e of the load is compensated by the change ``e / T`` of the references, where ``T`` is the
-closed loop from reference to load, with dead time and hold (``dynamics/inverse.py``). A machine
-with the closed loop ``T_c`` keeps the share ``1 - z Q T_c / T`` of the error at every frequency,
-where z is the filter's own factor and Q a low-pass without phase. The error of the next run is
-smaller if that share is less than 1 for every machine within the tolerances (Bristow, Tharayil and
-Alleyne, A survey of iterative learning control, IEEE Control Systems Magazine 26(3), 2006: Q-filter
-and plant inversion). At each frequency z is the complex number with the smallest largest share over
-the machines, found by Lawson's weights; where that share is still near 1, as beside the zeros of a
-lightly damped frame, nothing is learned.
+A change ``e / T`` of the references compensates an error e of the load, where ``T`` is the closed
+loop from reference to load, with dead time and hold (``dynamics/inverse.py``). The filter is ``z Q
+/ T``, where z is a complex factor for each frequency and Q a zero-phase low-pass. On a machine with
+the closed loop ``T_c`` the share ``1 - z Q T_c / T`` of the error remains at each frequency. The
+error of the next run is smaller if the magnitude of this share is below 1 for every machine within
+the tolerances (Bristow, Tharayil and Alleyne, A survey of iterative learning control, IEEE Control
+Systems Magazine 26(3), 2006: Q-filter and plant inversion). At each frequency z minimises the
+largest magnitude over the machines, and is found with Lawson's weights. If this magnitude is still
+near 1, as next to the zeros of a lightly damped frame, nothing is learned at the frequency.
 """
 
 from __future__ import annotations
@@ -28,10 +28,10 @@ _REMEMBERED_S = 8.0  # length of the filter: a ringing frame has decayed by then
 _SAMPLES = (1024, 16384)
 _LAWSON = 50
 _LEARNED, _LEFT = 0.7, 0.9
-"""Shares of the error that remain on the worst machine: full learning up to the first, none from
-the second on."""
-_LEAST_RESPONSE = 0.1  # of the loop: a smaller one asks ten times the error of the motor
-_STEEP = 8  # power of the low-pass
+"""Share of the error that remains on the worst machine: up to the first number the filter learns
+fully, and from the second number on it does not learn."""
+_LEAST_RESPONSE = 0.1  # smallest response of the loop: the motor moves ten times the load's error
+_STEEP = 8  # exponent of the low-pass
 _LOWEST_HZ = 1e-3
 _NYQUIST_SHARE = 0.4
 
@@ -45,16 +45,16 @@ class LearningFilter:
     axis
         Name of the axis.
     low_pass_hz
-        Frequency at which its low-pass halves.
+        Frequency at which the gain of the low-pass is a half.
     frequency_hz
         (k,) frequencies from 0 to half the rate of the references.
     response
         (k,) change of the reference / error; both in m, or both in rad.
     left
-        (k,) largest share of an error that remains after one repeat at full gain, over the machines
-        within the tolerances.
+        (k,) largest share of an error, over the machines within the tolerances, that remains after
+        one repeat at full gain.
     kernel
-        (m,) impulse response, m odd, its middle at the instant of the error.
+        (m,) impulse response; m is odd, and the middle is at the instant of the error.
     """
 
     axis: str
@@ -102,8 +102,8 @@ def learning_filter(
     of_load
         True: the error of the load. False: the error at the controller's own sensor.
     low_pass_hz
-        Frequency at which the low-pass halves; None: the lowest at which the loop answers with less
-        than a tenth of its reference.
+        Frequency at which the gain of the low-pass is a half; None: the lowest frequency at which
+        the gain of the loop is below a tenth.
 
     Raises
     ------
@@ -149,7 +149,7 @@ def learning_filter(
 
 
 def _least_left(ratios: ComplexArray) -> tuple[ComplexArray, FloatArray]:
-    """Return the factors z with the least ``max |1 - z R|`` over machines, and that maximum.
+    """Return the factors z with the smallest ``max |1 - z R|`` over machines, and this maximum.
 
     Parameters
     ----------

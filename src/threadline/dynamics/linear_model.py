@@ -86,7 +86,7 @@ def linear_variants(
     Parameters
     ----------
     drive
-        Only the piece with this motor; all pieces where it is empty.
+        Only the piece with this motor; empty for all pieces.
 
     Raises
     ------
@@ -105,11 +105,11 @@ def linear_variants(
 def linear_model(machine: Machine, values: Values | None = None) -> tuple[StateSpace, ...]:
     """Return the linear model of every connected piece of the network, of the first variant.
 
-    Limits and friction are omitted, play is closed and a preloaded belt is tight, as for small
-    motions about a working point. Inputs are the drives, ``"drives.x"``, in volts of the
-    controller; outputs are ``"sensors.x"`` in counts, V or m/s^2 (an accelerometer that a motor
-    moves at once has none) and, per axis, ``"X.measured"``,
-    ``"X.load"`` and ``"X.frame"`` in m or rad. ``delay_s`` holds the dead time of each drive.
+    The model holds for small motions about a working point: limits and friction are omitted, play
+    is closed and a preloaded belt is tight. Inputs are the drives, ``"drives.x"``, in volts of the
+    controller. Outputs are ``"sensors.x"`` in counts, V or m/s^2 and, for each axis,
+    ``"X.measured"``, ``"X.load"`` and ``"X.frame"`` in m or rad. An accelerometer on which a motor
+    has a direct effect (feedthrough) has no output. ``delay_s`` has the dead time of each drive.
 
     Raises
     ------
@@ -159,7 +159,7 @@ def _linear(machine: Machine, piece: PiecewiseLinear, values: Values) -> ModelVa
 
 
 def _check_unread(machine: Machine, sensor: str) -> None:
-    """Refuse a controller that reads an accelerometer which a motor moves at once."""
+    """Refuse a controller that reads an accelerometer on which a motor has a direct effect."""
     for name, controller in machine.controllers.items():
         if isinstance(controller, StateSpaceController) and sensor in controller.sensors:
             raise MachineError(
@@ -230,7 +230,8 @@ def _modes(model: StateSpace, bodies: list[str]) -> tuple[Oscillation, ...]:
 def _damping(model: StateSpace, place: list[int], rate: list[int], omega: float) -> float:
     """Return the damping ratio of the pole pair of an undamped mode.
 
-    The damping is increased from 0 in 64 steps, and the pair is followed from step to step.
+    All damping is increased from 0 to its value in 64 steps, and the pair is followed from step to
+    step.
     """
     n = len(place)
     whole = np.zeros((2 * n, 2 * n))
@@ -242,5 +243,5 @@ def _damping(model: StateSpace, place: list[int], rate: list[int], omega: float)
         whole[n:, n:] = share * damping
         poles = np.linalg.eigvals(whole)
         at = poles[int(np.argmin(np.abs(poles - at)))]
-    # A pair that met on the real axis has the ratio 1, even if rounding lost one of its poles.
+    # A pair that has met on the real axis has the ratio 1, even if rounding lost one of its poles.
     return float(-at.real / abs(at)) if at else 1.0

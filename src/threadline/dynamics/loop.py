@@ -1,9 +1,9 @@
 """The control loop of an axis: its plant, its controllers, and their open-loop response.
 
-If axes share a piece of the network, the loop of one axis is opened while the others stay closed.
-There are two models of a loop. In ``"sampled"`` the controller acts tick by tick, like the real
-one. In ``"continuous"`` it is the continuous form of its filter, with a dead time of half a tick
-for its held output.
+If axes share a piece of the network, the loop of one axis is opened while the other loops stay
+closed. There are two models of a loop. In ``"sampled"`` the controller acts tick by tick, like the
+real controller. In ``"continuous"`` it is the continuous form of its filter, with a dead time of
+half a tick for its held output.
 """
 
 from __future__ import annotations
@@ -80,7 +80,7 @@ class Loop:
 
     @property
     def single(self) -> bool:
-        """Whether every controller of the piece has one error: a continuous model needs that."""
+        """Whether every controller of the piece has a single error, as a continuous model needs."""
         return True
 
     def follower(self, model: Model = "sampled") -> Callable[[FloatArray], ComplexArray]:
@@ -111,7 +111,7 @@ class Loop:
         return sample(self.measured(), self.period_s)
 
     def closed(self, gain: float = 1.0) -> ClosedLoop:
-        """Return all loops of the piece closed, with a factor ``gain`` on this axis' controller."""
+        """Return the closed loops of the piece, with a factor ``gain`` on this axis' controller."""
         gains = [1.0] * len(self.filters)
         gains[self.index] = gain
         return close_loop(self.plant, self.filters, self.sensors, self.controllers, tuple(gains))
@@ -160,8 +160,8 @@ class Loop:
 class MatrixLoop(Loop):
     """The loop of an axis in a piece with a state-space controller, cut at the axis' drive.
 
-    All other drives stay with their controllers. ``filters`` is empty, and there is no continuous
-    model: such a controller has no continuous form.
+    The loops of all other drives stay closed. ``filters`` is empty, and there is no continuous
+    model, because a state-space controller has no continuous form.
 
     Parameters
     ----------
@@ -170,7 +170,7 @@ class MatrixLoop(Loop):
     readings
         Sensor outputs that it reads, in its order; ``sensors`` has the encoder of each loop.
     tick_s
-        Tick of the controllers.
+        Tick of the controllers, s.
     """
 
     controller: MatrixController
@@ -188,7 +188,7 @@ class MatrixLoop(Loop):
         return False
 
     def closed(self, gain: float = 1.0) -> ClosedLoop:
-        """Return all loops of the piece closed, with a factor ``gain`` on this axis' voltage."""
+        """Return the closed loops of the piece, with a factor ``gain`` on this axis' voltage."""
         gains = np.ones(len(self.controllers))
         gains[self.index] = gain
         return close_matrix_loop(
@@ -208,7 +208,11 @@ class MatrixLoop(Loop):
         )
 
     def responder(self, model: Model = "sampled") -> Callable[[FloatArray], ComplexArray]:
-        """Return minus the response from this axis' voltage to the controller's output."""
+        """Return the open-loop response as a function of (k,) rad/s.
+
+        It is minus the response from this axis' voltage to the output of its controller, with all
+        other loops closed.
+        """
         if model != "sampled":
             raise self._refused()
         read = self.plant.select(list(self.plant.inputs), list(self.readings))

@@ -1,11 +1,11 @@
 """Controllers of every kind for a crossover and a phase margin, and the limits of a pure gain.
 
-Controllers are designed in discrete form on the exact response of the plant, dead time and held
-output included. With ``d = 1 - 1/z`` they are ``kp + kd d`` (``pd``) and ``kp + ki/d + kd d``
-(``pid``). Where the integral time is 10 over the crossover, it costs six degrees there.
-At a crossover w the controller must have the value ``exp(i (phase margin - 180 deg)) / G(w)``; its
-real and imaginary parts give two gains. A controller with one gain (``p``, ``pi``) meets the phase
-margin at one crossover alone.
+Controllers are designed in discrete form on the exact response of the plant, including dead time
+and held output. With ``d = 1 - 1/z`` they are ``kp + kd d`` (``pd``) and ``kp + ki/d + kd d``
+(``pid``). The integral time is 10 / (crossover in rad/s), which costs six degrees of phase at the
+crossover. At a crossover w the response of the controller must be ``exp(i (phase margin - 180 deg))
+/ G(w)``; its real and imaginary parts give two gains. A controller with one gain (``p``, ``pi``)
+has the phase margin at only one crossover.
 """
 
 from __future__ import annotations
@@ -52,13 +52,13 @@ NUMBERS: Mapping[ControllerKind, tuple[str, ...]] = {
     "pid": ("kp", "ki", "kd"),
     "lead": ("gain", "zero", "pole"),
 }
-"""Keys of the gains of each kind."""
+"""Names of the gains of each kind of controller."""
 LEAST_GAIN_MARGIN = 2.0
-"""Gain margin that a designed loop has at least, unless its crossover was given."""
-_INTEGRAL = 10.0  # integral time times the crossover
+"""Smallest gain margin of a designed loop, unless its crossover is given."""
+_INTEGRAL = 10.0  # integral time times crossover in rad/s
 _GRID, _AROUND = 1500, 120
 _CANDIDATES = 240
-_SMALL = 0.02  # a phase crossover with less gain than this is no limit
+_SMALL = 0.02  # a phase crossover with a smaller gain does not limit the gain
 
 
 def with_controller(
@@ -66,12 +66,13 @@ def with_controller(
 ) -> Machine:
     """Return a machine in which an axis has another controller, and a new hash.
 
-    The controller keeps its clocks, its encoder, its drive and its DAC.
+    Clocks, encoder, drive and DAC of the controller do not change.
 
     Parameters
     ----------
     gains
-        Its gains in DAC levels per count: ``kp``, ``ki``, ``kd``, or ``gain``, ``zero``, ``pole``.
+        Gains of the new controller in DAC levels per count: ``kp``, ``ki``, ``kd``; or ``gain``,
+        and ``zero`` and ``pole`` without unit.
     """
     name, old = machine.axes[axis].controller, machine.controller_of(axis)
     numbers = {
@@ -147,7 +148,7 @@ def plant_grid(loop: Loop) -> FloatArray:
 
 
 def open_plant(loop: Loop, omega_rad_s: FloatArray | None = None) -> OpenPlant:
-    """Return the plant of a loop on a grid, by default on its own."""
+    """Return the plant of a loop on a grid of frequencies, by default ``plant_grid``."""
     grid = plant_grid(loop) if omega_rad_s is None else omega_rad_s
     volts = loop.filters[loop.index].volt_per_level
     return OpenPlant(
@@ -157,19 +158,19 @@ def open_plant(loop: Loop, omega_rad_s: FloatArray | None = None) -> OpenPlant:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class GridMargins:
-    """Margins of m loops from their responses on a grid, between its points by straight lines.
+    """Margins of m loops from their responses on a grid, interpolated linearly between its points.
 
     Parameters
     ----------
     gain_factor
-        (m,) smallest factor on the gain at a phase crossover above half the first gain crossover;
-        below 1 where the loop is unstable, infinite where there is none.
+        (m,) smallest 1 / gain over the phase crossovers above half the first gain crossover; below
+        1 for an unstable loop, infinite without such a crossover.
     phase_deg
-        (m,) smallest signed phase margin of all gain crossovers; infinite where there is none.
+        (m,) smallest signed phase margin of all gain crossovers; infinite without a crossover.
     crossover_rad_s
-        (m,) first gain crossover; 0 where there is none.
+        (m,) first gain crossover; 0 if there is none.
     modulus
-        (m,) smallest distance from -1.
+        (m,) smallest distance of the response from -1.
     """
 
     gain_factor: FloatArray
@@ -206,7 +207,7 @@ def grid_margins(L: ComplexArray, omega_rad_s: FloatArray) -> GridMargins:
 
 
 def _share(values: FloatArray, crosses: NDArray[np.bool_]) -> FloatArray:
-    """Return where (m, k) values cross zero between two points, as (m, k - 1) shares."""
+    """Return the zero crossings of (m, k) values, as (m, k - 1) shares of the grid intervals."""
     rise = np.diff(values, axis=1)
     return np.asarray(np.where(crosses, -values[:, :-1] / np.where(crosses, rise, 1.0), 0.0))
 
@@ -217,7 +218,7 @@ def check_wanted(loop: Loop, phase_margin_deg: float, crossover_hz: float | None
     Raises
     ------
     OptionError
-        Names the range.
+        If one is out of range; the error names the range.
     """
     if not 0 < phase_margin_deg < 180:
         raise OptionError(
@@ -246,17 +247,17 @@ def design(
     loop
         The loop of the axis with any controller.
     crossover_hz
-        Its crossover. By default the one with the largest gain at low frequencies (of an integral
-        part the largest ``ki``) at which the loop has the phase margin and a gain margin of 2:
-        the least error under a steady load or speed (Panagopoulos, Astrom and Hagglund, "Design of
-        PID controllers based on constrained optimisation", IEE Proc. Control Theory 149, 2002).
-        ``p`` and ``pi`` have one gain: with a given crossover they have the phase margin that is
-        left.
+        Crossover of the loop. By default it is chosen for the largest gain at low frequencies (the
+        largest ``ki``, if there is an integral part) with which the loop has the phase margin and a
+        gain margin of 2. This gives the smallest error under a constant load or speed
+        (Panagopoulos, Astrom and Hagglund, "Design of PID controllers based on constrained
+        optimisation", IEE Proc. Control Theory 149, 2002). ``p`` and ``pi`` have one gain: a given
+        crossover determines it, and the phase margin is then whatever results.
 
     Raises
     ------
     OptionError
-        If a number is out of range, or no such controller has that margin.
+        If a number is out of range, or no such controller has the phase margin.
     """
     check_wanted(loop, phase_margin_deg, crossover_hz)
     plant = open_plant(loop)
@@ -264,7 +265,7 @@ def design(
         omega = np.array([2 * np.pi * crossover_hz])
         response = loop.filters[loop.index].volt_per_level * loop.plant_response(omega)
         found = _gains(kind, omega, response, phase_margin_deg, loop.period_s)
-        if kind in {"p", "pi"}:  # its one gain makes the crossover, whatever the phase
+        if kind in {"p", "pi"}:  # the single gain is set by the crossover, whatever the phase
             kp = 1.0 / np.abs(_shape(kind, omega, loop.period_s) * response)
             found = {"kp": kp, "ki": kp * omega * loop.period_s / _INTEGRAL}
             if kind == "p":
@@ -292,7 +293,7 @@ def design(
         gains = {key: float(value[k]) for key, value in found.items()}
         L = plant.response * plant.controller(kind, gains)
         margins = grid_margins(L, plant.omega_rad_s)
-        # The lowest of several crossovers may be another one, with less phase.
+        # The loop may have further crossovers with less phase.
         enough = margins.gain_factor[0] >= LEAST_GAIN_MARGIN
         enough &= margins.phase_deg[0] >= phase_margin_deg - 0.5
         if enough and _stable(machine, loop, kind, gains):
@@ -312,7 +313,7 @@ def _stable(machine: Machine, loop: Loop, kind: ControllerKind, gains: Mapping[s
 
 
 def _shape(kind: ControllerKind, omega: FloatArray, period_s: float) -> ComplexArray:
-    """Return the (k,) response of a controller of gain 1, without its differential part."""
+    """Return the (k,) response of a controller with kp = 1, without its differential part."""
     if kind in {"p", "pd"}:
         return np.ones(len(omega), dtype=np.complex128)
     d = 1.0 - np.exp(-1j * omega * period_s)
@@ -326,7 +327,7 @@ def _gains(
     margin_deg: float,
     period_s: float,
 ) -> dict[str, FloatArray]:
-    """Return gains for (k,) crossovers; impossible ones are negative or not finite."""
+    """Return gains for (k,) crossovers; impossible gains are negative or not finite."""
     if kind == "lead":
         gain, zero = lead_from_response(response, omega, margin_deg, period_s, COEFFICIENT_LOW)
         return {"gain": gain, "zero": zero, "pole": np.full(len(omega), COEFFICIENT_LOW)}
@@ -353,12 +354,12 @@ def _possible(kind: ControllerKind, gains: Mapping[str, FloatArray]) -> NDArray[
     if kind == "lead":
         zero = gains["zero"]
         return np.asarray((zero >= COEFFICIENT_LOW) & (zero <= COEFFICIENT_HIGH))
-    # If the second of two gains delayed, this would be no lead: the loop is then better without it.
+    # A negative kd would delay instead of lead: the loop is then better without it.
     return np.asarray((gains["kp"] > 0.0) & (gains.get("kd", np.zeros(1)) >= 0.0))
 
 
 def _slow_gain(kind: ControllerKind, gains: Mapping[str, FloatArray]) -> FloatArray:
-    """Return the (k,) gains at low frequencies: of the integral part where there is one."""
+    """Return the (k,) gains at low frequencies; for an integral part its gain ``ki``."""
     if kind == "lead":
         gain = gains["gain"] * (1.0 - gains["zero"]) / (1.0 + gains["pole"])
     else:
@@ -373,7 +374,7 @@ def _one_gain(
     margin_deg: float,
     period_s: float,
 ) -> FloatArray:
-    """Return the crossovers at which one gain leaves the phase margin, between grid points."""
+    """Return the crossovers, between grid points, at which one gain gives the phase margin."""
     angle = np.angle(
         response * _shape(kind, omega, period_s) * np.exp(-1j * np.radians(margin_deg - 180.0))
     )

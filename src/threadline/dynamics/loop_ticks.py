@@ -1,11 +1,11 @@
 """Control loops tick by tick, with DACs that lose a tick at each reversal.
 
-Such a DAC loses the voltage of one tick at each change of sign. If the voltage passes through 0
-between two ticks, the phase of the encoder decides which of the two ticks is lost, so that the
-motion differs from run to run. ``Levels`` decides it in advance: the tick with the smaller voltage
-is lost. That tick gets the new sign and the magnitude of its neighbours, so that sensor noise
-cannot move the change of sign. Each neighbour receives half of the lost voltage, which preserves
-the sum of the voltages and their first moment (decision 14).
+Such a DAC outputs 0 for one tick at each change of sign: the voltage of this tick is lost. If the
+voltage passes through 0 between two ticks, the phase of the encoder decides which of the two is
+lost, so that the motion differs from run to run. ``Levels`` decides it in advance: the tick with
+the smaller voltage is lost. Its level gets the new sign and the magnitude of its neighbours, so
+that sensor noise cannot move the change of sign. Each neighbour receives half of the lost voltage,
+which preserves the sum of the voltages and their first moment (decision 14).
 """
 # mypy: disable-error-code="no-untyped-def,untyped-decorator"
 
@@ -23,7 +23,7 @@ from threadline.dynamics.inverse import Inverse
 from threadline.dynamics.sampled import sample
 from threadline.machine import Machine
 
-_SETTLES = 1e-4  # share of the slowest pole's motion at which the response to a change ends
+_SETTLES = 1e-4  # the response to a change ends when the slowest pole has decayed to this share
 _MOST_TICKS = 600
 _SPARE_TICKS = 20
 _NOTHING_V = 1e-9  # far above rounding errors of levels, far below the effect of a sensor count
@@ -40,7 +40,7 @@ class Changes:
     levels
         Output of the controller, V.
     current_a
-        Current of the motor without inductance, before the amplifier limits it.
+        Current of the motor, computed without inductance and before the amplifier limits it.
     """
 
     load_si: FloatArray
@@ -49,7 +49,7 @@ class Changes:
 
 
 class LoopTicks:
-    """The loop of one axis that is not coupled to others."""
+    """The loop of one axis, tick by tick; the axis must not be coupled to other axes."""
 
     def __init__(self, machine: Machine, axis: str, inverse: Inverse) -> None:
         loop = inverse.loop
@@ -71,7 +71,7 @@ class LoopTicks:
         self.memory += _SPARE_TICKS
 
     def current_a(self, acts: FloatArray, counts: FloatArray) -> FloatArray:
-        """Return the (k, ...) currents in A from the DAC's voltages and the sensor's counts."""
+        """Return the (k, ...) currents, A, for the DAC's voltages and the sensor's counts."""
         return self._per_volt * acts - self._per_count * np.gradient(counts, axis=0)
 
     def changed(
@@ -82,7 +82,8 @@ class LoopTicks:
         Parameters
         ----------
         effect
-            Maps a tick and the (columns,) changes of the level to the changes of the DAC's voltage.
+            Function from a tick and the (columns,) changes of the level to the (columns,) changes
+            of the DAC's voltage.
         """
         b, a = self._filter.numerator, self._filter.denominator
         plant, late = self._plant, self._plant.ticks[0]
@@ -117,7 +118,7 @@ def acting(levels: FloatArray) -> FloatArray:
 def acts_after(before: float, level: float) -> float:
     """Return the DAC's output in V for a level, given its output at the preceding tick.
 
-    A level below ``_NOTHING_V`` is rounding noise and has no sign.
+    A level with a magnitude below ``_NOTHING_V`` is rounding noise and has no sign.
     """
     signed = min(abs(level), abs(before)) >= _NOTHING_V
     return 0.0 if signed and level * before < 0.0 else level
@@ -126,18 +127,16 @@ def acts_after(before: float, level: float) -> float:
 AHEAD = 3
 """Number of following voltages on which a level depends."""
 _NOISE_COUNTS = 2.0
-_LEAST = 0.5  # minimum share of its level that a neighbour of a lost tick keeps
+_LEAST = 0.5  # a neighbour of a lost tick keeps at least this share of its level
 
 
 class Levels:
-    """Converts the voltages that a plant needs into the controller's output levels.
-
-    Levels are also in volts.
+    """Converts the voltages that a plant needs into the controller's output levels, in volts.
 
     Parameters
     ----------
     numerator
-        (n,) numerator of the controller's filter, in volts per count: the sum of its magnitudes is
+        (n,) numerator of the controller's filter, in volts per count. The sum of the magnitudes is
         the largest effect of one sensor count on the output.
     skips
         Whether the DAC outputs 0 at the first tick after a change of sign; if not, the levels equal
@@ -170,7 +169,9 @@ class Levels:
 
 @njit()
 def _levels(volts, held, sign, band):
-    """Return the levels of the tick before ``volts`` and of all ``volts`` except three; and a sign.
+    """Return the levels of the tick before ``volts`` and of ``volts`` without the last three.
+
+    The sign of the output is returned as well.
 
     Parameters
     ----------
@@ -180,10 +181,11 @@ def _levels(volts, held, sign, band):
         (2,) the level of the tick before ``volts``, and the voltage to add to the first level of
         ``volts``; both are overwritten with the values for the next call.
     sign
-        Sign of the output at the tick before ``volts``. The returned sign belongs to the last tick
-        whose level is returned or held.
+        Sign of the output at the tick before ``volts``. The returned sign is the sign at the last
+        tick whose level is returned or held.
     band
-        Smallest magnitude of a level, in volts; sensor noise can change the sign of smaller levels.
+        Smallest magnitude of a level, in volts: sensor noise could change the sign of a smaller
+        level.
     """
     count = len(volts) - 2
     out = np.empty(count)

@@ -1,20 +1,21 @@
 """Stability margins of loops, and stability decisions that do not depend on rounding.
 
 A simple eigenvalue is accurate to a small multiple of the rounding error times the norm of its
-matrix; an eigenvalue of a coinciding pair is accurate to the square root of the rounding error.
-Further digits depend on the processor, so no decision may depend on them: an eigenvalue nearer to a
-boundary than these errors counts as lying on it. Norms are taken after balancing, which gives
-states of different units equal weight.
+matrix. An eigenvalue of a coinciding pair is accurate to the square root of the rounding error
+times the norm. Further digits depend on the processor, so no decision may depend on them: an
+eigenvalue that is nearer to a boundary than these errors counts as lying on the boundary. Norms are
+taken after balancing, which gives states of different units equal weight.
 
 Polynomial methods need a rational approximation of the dead time (Pade), and the polynomial of a
-sampled loop has one power of z per tick of dead time. This module evaluates the exact response on a
-grid, refined until neighbours differ by less than 0.1 rad in phase and 0.2 in the logarithm of the
-magnitude; bisection then finds every crossing.
+sampled loop has one power of z per tick of dead time. This module avoids both: it evaluates the
+exact response on a grid that is refined until neighbours differ by less than 0.1 rad in phase and
+0.2 in the logarithm of the magnitude, and then finds every crossing by bisection.
 
-With ``n`` open-loop poles, the phase of the closed loop's characteristic function ``prod(s - p_i)
-(1 + L)`` changes by ``(n - 2 Z) pi / 2`` as ``s`` runs up the imaginary axis from 0, where Z is the
-number of its zeros in the right half plane (the argument principle in Mikhailov's form). The dead
-time of a strictly proper loop adds no phase at infinity, and poles at 0 need no detour.
+With ``n`` open-loop poles p_i, the phase of the closed loop's characteristic function ``prod(s -
+p_i) (1 + L)`` changes by ``(n - 2 Z) pi / 2`` as ``s`` runs up the imaginary axis from 0. Z is the
+number of zeros of this function in the right half plane (the argument principle in Mikhailov's
+form). The dead time of a strictly proper loop adds no phase at infinity, and poles at 0 need no
+detour.
 """
 
 from __future__ import annotations
@@ -30,9 +31,10 @@ from threadline.base.arrays import ComplexArray, FloatArray
 from threadline.dynamics.loop import Loop, Model
 
 SIMPLE = 1e-11
-"""Accuracy of a simple eigenvalue as a share of the norm: 5e4 rounding errors."""
+"""Accuracy of a simple eigenvalue, as a share of the norm: 5e4 times the rounding error."""
 DOUBLE = 1e-7
-"""Accuracy of a double eigenvalue as a share of the norm: 7 square roots of rounding."""
+"""Accuracy of a double eigenvalue, as a share of the norm: 7 times the square root of the rounding
+error."""
 
 _CIRCLE = 1e-9
 
@@ -68,8 +70,8 @@ def not_decaying(matrix: FloatArray) -> ComplexArray:
 def swinging(matrix: FloatArray) -> ComplexArray:
     """Return the complex eigenvalues of ``matrix`` in the upper half plane.
 
-    Rounding can give a critically damped pair a small imaginary part; a pair with an imaginary part
-    up to ``DOUBLE`` times the norm counts as real.
+    Rounding can give a critically damped pair a small imaginary part. A pair whose imaginary part
+    is at most ``DOUBLE`` times the norm therefore counts as real.
     """
     if not matrix.size:
         return np.empty(0, dtype=np.complex128)
@@ -81,7 +83,8 @@ def unstable_eigenvalues(matrix: FloatArray) -> ComplexArray:
     """Return the eigenvalues of ``x[k+1] = matrix x[k]`` outside the unit circle, beyond rounding.
 
     The position in a velocity loop has the eigenvalue 1, which is not an instability. An eigenvalue
-    outside the circle by up to 1e-9, or by up to ``SIMPLE`` times the norm, counts as on it.
+    that is outside the circle by at most 1e-9, or by at most ``SIMPLE`` times the norm, counts as
+    lying on the circle.
     """
     found = np.asarray(np.linalg.eigvals(matrix), dtype=np.complex128)
     return found[np.abs(found) > 1.0 + max(_CIRCLE, SIMPLE * size_of(matrix))]
@@ -94,13 +97,13 @@ _ROUNDS = 14
 _MOST_POINTS = 400_000
 _START_POINTS = 600
 _NEGLIGIBLE = 1e-3
-_HALVINGS = 48  # halvings of a grid interval: to the last digits of a double
-_SILENT = 1e-9  # smaller gains are rounding errors, without a meaningful phase or slope
+_HALVINGS = 48  # number of halvings of a grid interval: down to the last digits of a double
+_SILENT = 1e-9  # a smaller gain is a rounding error, without a meaningful phase or slope
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GainCrossover:
-    """A frequency at which the loop's gain is 1, and its phase there + 180 degrees."""
+    """A frequency at which the loop gain is 1, and the phase margin there."""
 
     omega_rad_s: float
     phase_margin_deg: float
@@ -108,7 +111,7 @@ class GainCrossover:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PhaseCrossover:
-    """A frequency at which the loop's phase is -180 degrees, and 1 / gain there."""
+    """A frequency at which the phase of the loop is -180 degrees, and 1 / gain there."""
 
     omega_rad_s: float
     gain_factor: float
@@ -132,21 +135,21 @@ class Margins:
     def worst_phase(self) -> GainCrossover | None:
         """The gain crossover with the phase nearest to -180 degrees; None if the gain is never 1.
 
-        A conditionally stable loop may have a negative margin there: that phase lead, instead of
-        lag, would bring it to its stability limit.
+        A conditionally stable loop may have a negative margin there: additional phase lead of this
+        size, instead of lag, would then bring the loop to its stability limit.
         """
         return min(self.gain_crossovers, key=lambda c: abs(c.phase_margin_deg), default=None)
 
     @property
     def raise_to(self) -> float | None:
-        """Smallest gain factor above 1 that puts the loop on its stability limit; None for none."""
+        """Smallest factor above 1 on the gain that gives a loop at its stability limit, or None."""
         return min(
             (c.gain_factor for c in self.phase_crossovers if c.gain_factor > 1), default=None
         )
 
     @property
     def lower_to(self) -> float | None:
-        """Largest gain factor below 1 that puts the loop on its stability limit; None for none."""
+        """Largest factor below 1 on the gain that gives a loop at its stability limit, or None."""
         return max(
             (c.gain_factor for c in self.phase_crossovers if c.gain_factor <= 1), default=None
         )
@@ -154,15 +157,15 @@ class Margins:
     def gain_margin(self, stable: bool) -> float | None:
         """Return the factor on the gain at which stability changes; None if it never changes.
 
-        For a stable loop it is above 1 (a conditionally stable loop also has a limit below 1,
-        ``lower_to``). For an unstable loop that a lower gain stabilises it is below 1.
+        For a stable loop the factor is above 1 (a conditionally stable loop also has a limit below
+        1, ``lower_to``). For an unstable loop that a lower gain stabilises it is below 1.
         """
         first, second = (self.raise_to, self.lower_to) if stable else (self.lower_to, self.raise_to)
         return first if first is not None or stable else second
 
     @property
     def delay_margin_s(self) -> float | None:
-        """Smallest additional dead time in s that puts a stable loop on its limit, or None."""
+        """Smallest additional dead time, s, with which a stable loop is at its limit; or None."""
         return min(
             (np.radians(c.phase_margin_deg % 360.0) / c.omega_rad_s for c in self.gain_crossovers),
             default=None,
@@ -172,9 +175,9 @@ class Margins:
 def refined_grid(
     response: Response, low: float, high: float, also: Iterable[float] = ()
 ) -> FloatArray:
-    """Return (n,) rad/s from ``low`` to ``high``, dense where ``response`` changes fast.
+    """Return (n,) frequencies, rad/s, from ``low`` to ``high``, dense where ``response`` is steep.
 
-    A response below 1e-9 is rounding noise and is not refined.
+    A response with a magnitude below 1e-9 is rounding noise, and the grid is not refined there.
 
     Parameters
     ----------
@@ -242,9 +245,10 @@ def _roots(
 ) -> FloatArray:
     """Return a root of ``function`` between each pair of (n,) ``low`` and ``high``, by bisection.
 
-    All pairs are halved together: a loop with dead time and a high gain has tens of thousands of
-    crossings, which would take minutes one by one. A pair without a change of sign has its root at,
-    or within rounding of, one end: ``low`` if the function is 0 there, else ``high``.
+    All intervals are halved together: a loop with dead time and a high gain has tens of thousands
+    of crossings, which would take minutes one by one. If the function does not change its sign in
+    an interval, its root is at an end, or within rounding of an end: ``low`` if the function is 0
+    there, else ``high``.
     """
     if not len(low):
         return low
@@ -289,9 +293,9 @@ def loop_margins(loop: Loop, model: Model = "sampled") -> Margins:
 
 
 def bandwidth_rad_s(closed: Response, grid: FloatArray) -> float | None:
-    """Return the lowest frequency at which ``closed`` falls 3 dB below its value at ``grid[0]``.
+    """Return the lowest frequency, rad/s, at which ``closed`` is 3 dB below its value at grid[0].
 
-    None if it never falls so low.
+    The result is None if it never falls so low.
     """
     values = np.abs(closed(grid))
     level = values[0] / np.sqrt(2.0)
@@ -315,7 +319,7 @@ def unstable_count(loop: Loop) -> int:
         If the count is not near a whole number, because a pole lies on the imaginary axis.
     """
     poles = open_loop_poles(loop)
-    # A zero of the filter at 0 (a pure speed controller) cancels a pole of the plant at 0.
+    # A zero of the filter at 0 (a controller of speed only) cancels a pole of the plant at 0.
     numerator = loop.filters[loop.index].continuous_numerator
     hidden = len(numerator) - len(np.trim_zeros(numerator, "b"))
     poles = np.delete(poles, np.flatnonzero(poles == 0.0)[:hidden])
@@ -342,7 +346,7 @@ def unstable_from(response: ComplexArray, omega_rad_s: FloatArray, poles: Comple
 
 
 def open_loop_poles(loop: Loop) -> ComplexArray:
-    """Return the (n,) poles of the plant and of this axis' controller, rad/s; poles near 0 as 0."""
+    """Return the (n,) poles of plant and axis controller, rad/s; a pole near 0 is returned as 0."""
     own = np.roots(loop.filters[loop.index].continuous_denominator)
     found = np.concatenate([loop.plant.poles(), own]).astype(np.complex128)
     size = max(1.0, float(np.abs(found).max()))

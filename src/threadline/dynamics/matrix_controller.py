@@ -1,11 +1,12 @@
-"""State-space controllers in the linear analysis: their loops, side by side and closed.
+"""State-space controllers in the linear analysis: joined to one controller, and in closed loops.
 
 A controller in volts has the states x, the references r and the readings y of one tick:
 
     x[k+1] = A x[k] + R r[k] + Y y[k],   u[k] = C x[k] + Dr r[k] + Dy y[k]
 
-A difference equation of one error ``r - y`` is the case with ``Y = -R``; it is taken in transposed
-direct form. The ends of the DAC are left out, as everywhere in the linear analysis.
+A difference equation of one error ``r - y`` is the case ``Y = -R``; its states are the states of
+the transposed direct form. The clamping of the DAC is left out, as everywhere in the linear
+analysis.
 """
 
 from __future__ import annotations
@@ -30,9 +31,10 @@ class MatrixController:
     Parameters
     ----------
     A, R, Y
-        (n, n), (n, m) and (n, q): the states at the next tick.
+        (n, n), (n, m) and (n, q): from states, references and readings to the states at the next
+        tick.
     C, Dr, Dy
-        (m, n), (m, m) and (m, q): the voltages.
+        (m, n), (m, m) and (m, q): from states, references and readings to the voltages.
     """
 
     A: FloatArray
@@ -50,7 +52,7 @@ class MatrixController:
 
 
 def in_volts(controller: StateSpaceController) -> MatrixController:
-    """Return a state-space controller in volts; it reads its ``sensors``."""
+    """Return a state-space controller with outputs in volts; its readings are its ``sensors``."""
     m, volts = len(controller.references), controller.dac.volt_per_level
     B, D = controller.matrix("B"), volts * controller.matrix("D")
     return MatrixController(
@@ -60,7 +62,7 @@ def in_volts(controller: StateSpaceController) -> MatrixController:
 
 
 def of_filter(digital: DigitalFilter) -> MatrixController:
-    """Return a difference equation of one error as a controller with two states."""
+    """Return the difference equation of one error as a controller with two states."""
     (b0, b1, b2), (_, a1, a2) = digital.numerator, digital.denominator
     R = np.array([[b1 - a1 * b0], [b2 - a2 * b0]])
     return MatrixController(
@@ -70,7 +72,7 @@ def of_filter(digital: DigitalFilter) -> MatrixController:
 
 
 def side_by_side(parts: Sequence[MatrixController]) -> MatrixController:
-    """Return controllers side by side, as one; each keeps its own readings."""
+    """Return several controllers as one block-diagonal controller; each keeps its readings."""
     return MatrixController(
         **{
             name: np.asarray(block_diag(*(getattr(part, name) for part in parts)))
@@ -92,7 +94,7 @@ def close_matrix_loop(
     Parameters
     ----------
     sensors
-        (q,) outputs of the plant that it reads.
+        (q,) names of the plant's outputs that the controller reads.
     names
         (m,) names of the loops.
     gains
@@ -137,7 +139,7 @@ def close_matrix_loop(
 
 
 class LoopPart(NamedTuple):
-    """The loop of one axis in a controller; a state-space controller has one for each of its axes.
+    """A controller's loop for one axis; a state-space controller has one loop for each of its axes.
 
     Parameters
     ----------
@@ -146,9 +148,9 @@ class LoopPart(NamedTuple):
     place
         Index of the axis in the references of a state-space controller, else 0.
     axis
-        Name of the axis; empty where a controller moves none.
+        Name of the axis; empty if the controller moves no axis.
     of
-        Clocks, sensor, drive and DAC.
+        Clocks, sensor, drive and DAC of the loop.
     """
 
     controller: str
@@ -158,7 +160,7 @@ class LoopPart(NamedTuple):
 
 
 def loop_parts(machine: Machine, controllers: Iterable[str]) -> tuple[LoopPart, ...]:
-    """Return the loops of ``controllers``, the loops of one controller side by side."""
+    """Return the loops of ``controllers``; the loops of one controller follow each other."""
     owner = {axis.controller: name for name, axis in machine.axes.items()}
     found: list[LoopPart] = []
     for name in controllers:

@@ -1,8 +1,8 @@
 """Equations of the network of a machine, for each connected piece.
 
-With coordinates q of the bodies, ``M q'' + C q' + K q = forces``: M is diagonal; a link with
-stretch ``s = w . q`` adds ``k w w^T`` to K and ``c w w^T`` to C; a motor acts with
-``Kt i`` along its vector ``w`` and turns with ``w . q'``. A nonlinear part is an ``Element``.
+With the coordinates q of the bodies, ``M q'' + C q' + K q = forces``. M is diagonal. A link with
+the stretch ``s = w . q`` adds ``k w w^T`` to K and ``c w w^T`` to C. A motor applies the force ``Kt
+i`` along its vector ``w`` and moves at the speed ``w . q'``. A nonlinear part is an ``Element``.
 """
 
 from __future__ import annotations
@@ -30,22 +30,23 @@ class PiecewiseLinear:
     Parameters
     ----------
     group
-        Parts of the piece. Its inputs are the drives, in order: the output of a voltage amplifier
-        in volts, or of a current amplifier in amperes, with gain and fixed limits already applied.
+        Parts of the piece. The inputs of the piece are its drives, in this order: the output of a
+        voltage amplifier in volts, or of a current amplifier in amperes, with gain and fixed limits
+        already applied.
     states
         (n,) names: ``"x"`` is a coordinate, ``"x'"`` its rate, ``"x.i"`` a motor's current.
     base
-        (variants, n, N) linear part of the rates.
+        (variants, n, N) linear part of the rates of the states.
     elements
         Nonlinear parts; each drive is one of them, called ``"drives.NAME"``.
     sensor_rows
-        (variants, sensors, N) rows of the readings in counts or V, from the start position; 0 for
-        an accelerometer.
+        (variants, sensors, N) rows of the readings in counts or V, relative to the start position;
+        0 for an accelerometer.
     felt_rows
-        (variants, sensors, n) rows of the readings of accelerometers, in the rates of the states;
+        (variants, sensors, n) rows from the rates of the states to the readings of accelerometers;
         0 for any other sensor.
     load_rows, frame_rows
-        (variants, axes, N) rows of load and frame in m or rad, from the start position.
+        (variants, axes, N) rows of load and frame in m or rad, relative to the start position.
     rate_rows
         (variants, axes, N) rows of the velocity of the load, m/s or rad/s.
     has_frame
@@ -54,8 +55,8 @@ class PiecewiseLinear:
         (variants, drives) gain from the controller's voltage to the input, and fixed limit of the
         input.
     pulled
-        Whether every axis has a further input, behind the inputs of the drives: a force on it from
-        outside, N or N m.
+        Whether the inputs of the drives are followed by one further input for each axis: an
+        external force on the axis, N or N m.
     """
 
     group: Group
@@ -96,9 +97,9 @@ def piecewise_linear(
          (axes,) position of each axis at the start, m or rad, for the distances to limit switches;
         None for 0.
     drive
-        Only the piece with this motor; all pieces where it is empty.
+        Only the piece with this motor; empty for all pieces.
     pulled
-        Whether to add the inputs of forces on the axes.
+        Whether to add inputs for external forces on the axes.
 
     Raises
     ------
@@ -184,7 +185,7 @@ class _Builder:
         )
 
     def _add_pulls(self, load_rows: FloatArray) -> None:
-        """Add the force on each axis: it acts on the bodies of the load by virtual work."""
+        """Add an external force on each axis: by virtual work it acts on the bodies of the load."""
         bodies = len(self.group.bodies)
         first = self.n + len(self.group.drives)
         for x in range(len(self.group.axes)):
@@ -326,7 +327,8 @@ class _Builder:
             free, limit_on_current = held, None
             limit_on_input = no_limit if amps is None else amps
             if volts is not None:
-                # Without the loop inside the amplifier: the inductance takes none of the voltage.
+                # The current loop inside the amplifier is not simulated, so the inductance takes
+                # none of the voltage.
                 supply = [
                     (sign * volts[:, None] * one - emf[:, None] * turning) / resistance[:, None]
                     for sign in (1.0, -1.0)

@@ -25,18 +25,19 @@ _CONSTANTS_APART = 0.05
 _SCALES_APART = 0.01
 _DEAD_COUNTS = 5.0
 _SPARE = 1.0 + 1e-9
-_BEYOND = 1.05  # allowed ratio of an axis limit to its drive's limit: data sheets are rounded
+_BEYOND = 1.05  # allowed ratio of an axis limit to its drive's limit: data sheets round numbers
 
 
 def plausibility_warnings(machine: Machine) -> list[str]:
     """Return one sentence for every suspicious number.
 
-    Suspicious are
+    The following is suspicious:
 
     - torque and back-emf constants that differ by more than 5 % (in SI they are equal),
-    - counts of an axis that differ from its sensor's counts through belt and gear by more than 1 %
-      plus tolerances,
-    - an inductance beside the voltage limit of a current amplifier, whose loop is not simulated,
+    - counts of an axis that differ from the counts of its sensor, through belt and gear, by more
+      than 1 % plus tolerances,
+    - an inductance together with the voltage limit of a current amplifier, because the current loop
+      is not simulated,
     - friction that takes at least half of a motor's current at the axis' working speed,
     - a velocity or acceleration limit of an axis more than 5 % above the capability of its motor
       and amplifier,
@@ -76,7 +77,7 @@ def _constants(machine: Machine, name: str) -> list[str]:
 
 
 def _coil_left_out(machine: Machine, name: str) -> list[str]:
-    """Return a warning where the loop inside a current amplifier would need its voltage limit."""
+    """Return a warning if the current loop of an amplifier would need its voltage limit."""
     drive = machine.motors[name]
     volts = drive.amplifier.voltage_limit
     if drive.amplifier.mode != "current" or volts is None or drive.inductance is None:
@@ -90,9 +91,9 @@ def _coil_left_out(machine: Machine, name: str) -> list[str]:
 
 
 def _scale(machine: Machine, name: str) -> list[str]:
-    """Return a warning if an axis' counts disagree with its sensor's through belt and gear.
+    """Return a warning if the counts of an axis contradict those of its sensor and the gearing.
 
-    It finds forgotten quadrature (four counts per line) and misplaced decimal points.
+    This finds forgotten quadrature (four counts per line) and misplaced decimal points.
     """
     axis = machine.axes[name]
     if axis.load is None:  # the load is then the position of the encoder
@@ -241,7 +242,7 @@ def _dead_band(machine: Machine, name: str) -> list[str]:
     """Return a warning if a static error of several counts rounds to zero DAC levels."""
     controller = machine.axes[name].controller
     if isinstance(machine.controllers[controller], StateSpaceController):
-        return []  # it may integrate; its output at rest depends on all of its readings
+        return []  # it may integrate, and its output at rest depends on all of its readings
     b, a = difference_equation(machine, controller, Values.of(machine))
     rest = 1.0 + float(a[0].sum())
     if abs(rest) < _SPARE - 1.0:

@@ -1,14 +1,14 @@
-"""Equations of a cylinder, and the ringing of the frame under it.
+"""Equations of a cylinder, and the vibration of the frame under it.
 
-With the stroke ``s = w - z`` (piston minus housing), the flow speed ``v`` and the elongation ``e``
-of the air between the flow and the piston::
+With the stroke ``s = w - z`` (position of the piston minus position of the housing), the flow speed
+``v`` and the elongation ``e`` of the air between flow and piston::
 
     v' = (speed level(t - delay) - v) / lag
     e' = v - s'
     F  = k e + c (v - s') - friction,   on the piston; -F on the housing
 
-A shaper therefore acts on the flow *speed*, which determines the force. Bodies and links are part
-of the network, as in every other machine.
+A shaper therefore acts on the *speed* of the flow, which determines the force. Bodies and links are
+part of the network, as in any other machine.
 """
 
 from __future__ import annotations
@@ -38,14 +38,14 @@ class CylinderEquations:
     axis
         Name of the cylinder.
     states
-        (n,) names: the names of the network, then ``"flow"`` (m/s) and ``"air"`` (m).
+        (n,) names: the states of the network, then ``"flow"`` (v, m/s) and ``"air"`` (e, m).
     matrix
         (variants, n, n) rates of the states without the force of the air on the bodies.
     level
         (variants, n) contribution of a level of 1 to the rates.
     force
-        (variants, n) contribution of 1 N on the piston, with its reaction on the housing, to the
-        rates.
+        (variants, n) contribution of a force of 1 N on the piston, and of its reaction on the
+        housing, to the rates.
     stroke, stroke_rate
         (n,) rows of ``s`` and ``s'``.
     frame
@@ -59,7 +59,8 @@ class CylinderEquations:
     air_stiffness, air_damping
         (variants,) in N/m and N s/m.
 
-    Of a rotary cylinder the stroke is in rad, its forces are torques in N m, inertias in kg m^2.
+    For a rotary cylinder the stroke is in rad, forces are torques in N m, and inertias are in
+    kg m^2.
     """
 
     axis: str
@@ -86,12 +87,12 @@ class CylinderEquations:
         return row
 
     def joined(self, row: FloatArray) -> FloatArray:
-        """Return the (variants, n) row of the common acceleration of piston and housing when stuck.
+        """Return the (variants, n) row of the joint acceleration of a piston stuck in its housing.
 
         Parameters
         ----------
         row
-            (variants, n, n) rates of all states while the two move independently.
+            (variants, n, n) rates of all states while piston and housing move independently.
         """
         share = self.piston_share[:, None]
         return share * row[:, self.piston] + (1.0 - share) * row[:, self.housing]
@@ -110,8 +111,8 @@ class CylinderEquations:
     def holding(self) -> FloatArray:
         """Return the (variants, n) row of the force in N that holds the piston in its housing.
 
-        It is the piston's inertia times the difference of its common acceleration with the housing
-        and its free acceleration. The air force is not included.
+        The force is the inertia of the piston times the difference between its acceleration
+        together with the housing and its free acceleration. The force of the air is not included.
         """
         own = self.joined(self.matrix) - self.matrix[:, self.piston]
         return self.piston_inertia[:, None] * own
@@ -209,7 +210,7 @@ def cylinder_equations(
 def _air_stiffness(
     machine: Machine, axis: str, number: Callable[[str, Quantity | None], FloatArray]
 ) -> FloatArray:
-    """Return the (variants,) stiffness of the air, as given or from what makes the torque."""
+    """Return the (variants,) stiffness of the air, as given or from pressure, area and radius."""
     cylinder, where = machine.cylinders[axis], f"cylinders.{axis}"
     torque = cylinder.torque
     if torque is None:
@@ -233,7 +234,7 @@ def frame_mode(machine: Machine, axis: str) -> tuple[float, float]:
     Raises
     ------
     MachineError
-        If the network has no mode that rings.
+        If the network has no vibration mode.
     """
     piece = network_of(machine, axis)
     ringing = swinging(piece.base[0][:, : len(piece.states)])
@@ -271,13 +272,13 @@ _RECENT: Recent[tuple[Machine, str], StepRinging] = Recent(8, _alike)
 def step_ringing(machine: Machine, axis: str) -> StepRinging:
     """Return the vibration after a step of the level, by eigenvectors of the sliding cylinder.
 
-    The delay of the valves, which shifts every step equally, is omitted.
+    The delay of the valves is omitted, because it shifts every step equally.
 
     Raises
     ------
     MachineError
-        If the network has no vibration mode, or a mode so slow, compared with other rates, that
-        rounding hides it.
+        If the network has no vibration mode, or its slowest mode is so slow, compared with other
+        rates, that rounding errors hide it.
     """
     return _RECENT.of((machine, axis), lambda: _step_ringing(machine, axis))
 
@@ -287,7 +288,7 @@ def _step_ringing(machine: Machine, axis: str) -> StepRinging:
     matrix = plant.sliding()[0]
     poles, modes = np.linalg.eig(matrix)
     wanted = 2.0 * math.pi * frame_mode(machine, axis)[0]
-    # A state that depends on no other state, such as the lag of a valve, does not affect the
+    # A state that does not depend on other states, such as the lag of a valve, does not affect the
     # accuracy of the other poles, so its rate is excluded from the norm.
     fed = (matrix - np.diag(np.diag(matrix))).any(axis=1)
     ringing = np.flatnonzero(poles.imag > DOUBLE * size_of(matrix[np.ix_(fed, fed)]))
@@ -300,8 +301,9 @@ def _step_ringing(machine: Machine, axis: str) -> StepRinging:
         )
     # The air spring shifts the mode a little, so take the nearest pole.
     index = int(ringing[np.argmin(np.abs(np.abs(poles[ringing]) - wanted))])
-    # x = sum over modes; a step's share is (left vector . b) / pole. The zero poles of a free
-    # stroke make the matrix defective, but the vectors of this simple pole stay exact.
+    # x is a sum over modes; the amplitude of a mode after a step is (left vector . b) / pole. The
+    # zero poles of a free stroke make the matrix defective, but the vectors of this simple pole are
+    # still exact.
     left_poles, left = np.linalg.eig(matrix.T)
     match = left[:, int(np.argmin(np.abs(left_poles - poles[index])))]
     share = (match @ plant.level[0]) / (match @ modes[:, index]) / poles[index]
@@ -311,14 +313,14 @@ def _step_ringing(machine: Machine, axis: str) -> StepRinging:
 
 
 def opening_ringing_m(machine: Machine, axis: str, level: float, open_s: float) -> float:
-    """Return the amplitude of the frame, m, after a flow of ``level`` for ``open_s``.
+    """Return the vibration amplitude of the frame, m, after a flow of ``level`` for ``open_s``.
 
     The flow is a step and, ``open_s`` later, the opposite step: ``|a (exp(p t) - 1)|``.
 
     Raises
     ------
     MachineError
-        As ``step_ringing``.
+        As for ``step_ringing``.
     """
     step = step_ringing(machine, axis)
     return float(abs(level * step.amplitude_m * (np.exp(step.pole * open_s) - 1.0)))
@@ -327,13 +329,13 @@ def opening_ringing_m(machine: Machine, axis: str, level: float, open_s: float) 
 def flow_mode(machine: Machine, axis: str) -> tuple[float, float]:
     """Return undamped frequency in Hz and damping ratio of the mode excited by the valves.
 
-    The air couples the piston's mass to the frame, whose frequency is therefore lower than with a
-    free piston (``frame_mode``).
+    The air couples the mass of the piston to the frame. The frequency is therefore lower than with
+    a free piston (``frame_mode``).
 
     Raises
     ------
     MachineError
-        If the network has no mode that rings.
+        If the network has no vibration mode.
     """
     pole = step_ringing(machine, axis).pole
     return abs(pole) / (2.0 * math.pi), -pole.real / abs(pole)
@@ -342,8 +344,9 @@ def flow_mode(machine: Machine, axis: str) -> tuple[float, float]:
 def short_of_torque(machine: Machine) -> list[str]:
     """Return a warning for each rotary cylinder with too little torque for its load.
 
-    The speed follows the flow with a first-order lag, so that the load first accelerates by the
-    speed over the lag. The exhaust still has pressure then, which reduces the remaining torque.
+    The speed follows the flow with a first-order lag, so the initial acceleration of the load is
+    the speed divided by the lag. At this time the exhaust still has pressure, which reduces the
+    available torque.
     """
     found = []
     for name, cylinder in machine.cylinders.items():

@@ -1,13 +1,13 @@
 """Poles and zeros of a loop with its exact dead time: root locus, Routh's array, Newton's method.
 
-Routh's array applies to loops without dead time, or with its Pade approximation, as in textbooks
-and the stitcher thesis. ``margins`` has the exact limits of a loop with dead time.
+Routh's array applies to loops without dead time, or with a Pade approximation of the dead time, as
+in textbooks and in the stitcher thesis. ``margins`` has the exact limits of a loop with dead time.
 
 For closed-loop poles, a transport equation on Chebyshev nodes models each delayed signal (Breda,
 Maset and Vermiglio, "Pseudospectral differencing methods for characteristic roots of delay
-differential equations", SIAM J. Sci. Comput. 27 (2005)); its eigenvalues converge faster than any
-power of the number of nodes. Newton's method on ``det(s I - A + B exp(-s tau) K(s) C) = 0`` then
-refines each eigenvalue to rounding; guesses without convergence are dropped.
+differential equations", SIAM J. Sci. Comput. 27 (2005)). The eigenvalues of this model converge
+faster than any power of the number of nodes. Newton's method on ``det(s I - A + B exp(-s tau) K(s)
+C) = 0`` then refines each eigenvalue to rounding; an eigenvalue without convergence is dropped.
 """
 
 from __future__ import annotations
@@ -30,8 +30,8 @@ _TINY = 1e-12
 def routh_array(coefficients: Sequence[float]) -> FloatArray:
     """Return the (n + 1, n // 2 + 1) Routh array of a polynomial, highest power first.
 
-    A row of zeros is replaced by the derivative of the auxiliary polynomial of the row above. A
-    zero in the first column is replaced by a small number with the sign of the number above it.
+    A row of zeros is replaced by the derivative of the auxiliary polynomial of the row above it. A
+    zero in the first column is replaced by a small number with the sign of the number above.
 
     Raises
     ------
@@ -63,7 +63,7 @@ def routh_array(coefficients: Sequence[float]) -> FloatArray:
 
 
 def unstable_roots(coefficients: Sequence[float]) -> int:
-    """Return the number of roots with positive real part: sign changes in the first column."""
+    """Return the number of roots with positive real part: the sign changes in the first column."""
     first = routh_array(coefficients)[:, 0]
     return int(np.count_nonzero(first[1:] * first[:-1] < 0))
 
@@ -79,7 +79,8 @@ def stable_gains(numerator: FloatArray, denominator: FloatArray) -> tuple[tuple[
     top, bottom = np.asarray(numerator), np.asarray(denominator)
     even_top, odd_top = _on_axis(top)
     even_bottom, odd_bottom = _on_axis(bottom)
-    # A root crosses the axis where bottom(jw) / top(jw) is real: w from a polynomial in w^2.
+    # A root crosses the imaginary axis where bottom(jw) / top(jw) is real; w^2 is then the root of
+    # a polynomial.
     crossing = np.polysub(np.polymul(odd_bottom, even_top), np.polymul(even_bottom, odd_top))
     squares = np.roots(np.trim_zeros(crossing, "f")) if np.any(crossing) else np.empty(0)
     limits = [0.0]
@@ -138,14 +139,14 @@ def closed_poles(loop: Loop, gain: float = 1.0, within_rad_s: float | None = Non
     gain
         Factor on this axis' controller; the other loops of the piece are unchanged.
     within_rad_s
-        Largest magnitude of the poles; by default the resolution of the nodes, ``16 / dead time``,
-        or no limit without dead time.
+        Largest magnitude of the returned poles. By default it is the resolution of the nodes,
+        ``16 / dead time``; without dead time there is no limit.
 
     Raises
     ------
     MachineError
-        If a controller differentiates the output of a plant of relative degree 1, whose input acts
-        on its output at once.
+        If a controller differentiates the output of a plant of relative degree 1: the input would
+        act on the derivative of the output without delay.
     """
     plant = loop.measured()
     gains = [1.0] * len(loop.filters)
@@ -194,7 +195,7 @@ def _split(digital: DigitalFilter, gain: float) -> _Parts:
 def _generator(
     A: FloatArray, B: FloatArray, C: FloatArray, parts: list[_Parts], delays: FloatArray
 ) -> FloatArray:
-    """Return the matrix whose eigenvalues approximate the poles."""
+    """Return the matrix whose eigenvalues approximate the closed-loop poles."""
     n, m = B.shape
     with_state = [i for i, p in enumerate(parts) if p.r]
     D = _chebyshev(_NODES)
@@ -240,7 +241,7 @@ def _newton(
     ``det M`` is multiplied by the controllers' denominators, so that it has no poles.
     """
     eye = np.eye(len(A))
-    # Shifted off the controllers' poles, where the equation is undefined.
+    # Start away from the poles of the controllers, where the equation is undefined.
     s *= 1.0 + 1e-7
     start = s
     for _ in range(_NEWTON):
@@ -259,7 +260,7 @@ def _newton(
         change = 1.0 / step
         s = s - change
         if abs(change) <= 1e-12 * max(1.0, abs(s)):
-            # Ignore a root far from this guess; another guess finds it.
+            # Ignore a root far from this starting point; another starting point finds it.
             return s if abs(s - start) < 0.3 * max(abs(start), 10.0) else None
     return None
 
@@ -310,13 +311,13 @@ def chain_of(plant: StateSpace) -> Chain:
 def zeros_of(plant: StateSpace) -> ComplexArray:
     """Return the zeros of a plant with one input and one output, in rad/s.
 
-    With the input that holds the output constant, the states have the matrix ``A - B C A^r / (C
-    A^(r-1) B)``. Its eigenvalues are the zeros of the plant, and 0 (r times).
+    If the input holds the output constant, the states have the matrix ``A - B C A^r / (C A^(r-1)
+    B)``. Its eigenvalues are the zeros of the plant, and r times 0.
     """
     chain = chain_of(plant)
     inner = plant.A - np.outer(plant.B[:, 0], chain.rows[chain.degree]) / chain.gain
-    # Restricted to the null space of the chain the matrix has only the zeros; rounding would spread
-    # an r-fold eigenvalue 0.
+    # In the null space of the chain the matrix has only the zeros as eigenvalues; rounding would
+    # scatter an r-fold eigenvalue 0.
     scaled = chain.rows[: chain.degree]
     scaled = scaled / np.linalg.norm(scaled, axis=1)[:, None]
     units = np.maximum(np.abs(scaled).max(axis=0), _ZERO)
@@ -340,13 +341,13 @@ class RootLocus:
     gains
         (k,) factors on the controller's gain.
     poles
-        For each gain, the poles of magnitude up to ``within_rad_s``; with dead time there are
-        infinitely many others.
+        For each gain, the poles with a magnitude up to ``within_rad_s``; with dead time there are
+        infinitely many further poles.
     now
         Poles at gain 1.
     open_poles, open_zeros
-        Open-loop poles, at which the branches begin, and zeros, at which they end, of plant and
-        controller.
+        Open-loop poles of plant and controller, at which the branches begin, and zeros, at which
+        they end.
     critical
         Gain and frequency in rad/s of every crossing of the imaginary axis, in increasing gain.
     within_rad_s

@@ -1,9 +1,9 @@
 """Equations of a network with prescribed motor positions: steppers, pulse-controlled servos.
 
-Positions p and velocities p' of the driven bodies are removed from the state of the network ``z' =
-F z``. The remaining states x obey ``x' = A x + B p + C p'`` exactly. The row of F for a prescribed
-velocity gives the acceleration of that body by the network alone, so the torque of the drive is ``J
-(p'' - row . z)`` plus friction.
+The positions p and velocities p' of the driven bodies are removed from the state of the network
+``z' = F z``. The remaining states x obey ``x' = A x + B p + C p'`` exactly. The row of F for a
+prescribed velocity gives the acceleration that the network alone would give to this body. The
+torque of the drive is therefore ``J (p'' - row . z)`` plus friction.
 """
 
 from __future__ import annotations
@@ -29,9 +29,9 @@ class Tight:
     name
         Path of the link in the machine file.
     row
-        (n + 2 s,) row of its force over ``[x, p, p']``.
+        (n + 2 s,) row of the belt's force over ``[x, p, p']``.
     low, high
-        Forces at which one of its runs goes slack.
+        Forces below and above which one of the two runs is slack.
     """
 
     name: str
@@ -57,7 +57,8 @@ class Prescribed:
     has_frame
         (axes,) whether the axis has a frame.
     pulls
-        (s, n + 2 s) rows of the force of the network on each drive's body, N m (N).
+        (s, n + 2 s) rows of the torque (force) that the network exerts on each drive's body, N m
+        (N).
     inertia, friction
         (s,) inertia and friction of the drives' bodies.
     belts
@@ -171,8 +172,8 @@ def _first(bound: FloatArray | float) -> float:
 def resonance_hz(source: Source, inertia: float) -> float | None:
     """Return the resonance in Hz of a stepper about its step; None for a servo.
 
-    It holds for small deflections: the torque of a stepper varies with the sine of the electrical
-    angle, and a full step is a quarter of an electrical turn.
+    The frequency holds for small deflections: the torque of a stepper varies with the sine of the
+    electrical angle, and a full step is a quarter of an electrical turn.
     """
     if isinstance(source, PulseServo):
         return None

@@ -1,4 +1,4 @@
-"""References by the exact inverse, block by block, so that memory is bounded."""
+"""References from the exact inverse, computed block by block with bounded memory."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from threadline.errors import MachineError
 from threadline.machine import Machine
 from threadline.machine.controllers import ProfileController
 
-_LEFT = 1e-3  # an inner state that falls to this share of its amplitude counts as decayed
+_LEFT = 1e-3  # an inner state counts as decayed when it has fallen to this share
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -25,18 +25,18 @@ class Timing:
     Parameters
     ----------
     tick_s, step_s
-        Tick of the controller's filter, and time from reference to reference.
+        Tick of the controller's filter, and time from one reference to the next.
     early_s
-        Time from the tick of a voltage to the instant for which it is computed: the dead time plus
-        half a tick.
+        Time from the tick of a voltage to the instant for which this voltage is computed: the dead
+        time plus half a tick.
     held_s
-        Time from the tick of a reference to the instant for which it is computed: half a step if a
-        step is longer than a tick, else 0.
+        Time from the tick of a reference to the instant for which this reference is computed: half
+        a step if a step is longer than a tick, else 0.
     lead_s
         Time from the first reference to the start of the motion, in whole steps.
     settle_s
-        Time from the end of the motion to the last reference, in which inner states and filter
-        decay to a thousandth.
+        Time from the end of the motion to the last reference. In this time the inner states and the
+        filter decay to a thousandth.
     """
 
     tick_s: float
@@ -73,7 +73,7 @@ class Demand:
 
     @property
     def share(self) -> float:
-        """Larger ratio of demand to limit; above 1 the machine cannot follow."""
+        """Larger one of the ratios demand / limit; if it is above 1 the machine cannot follow."""
         return max(self.volts / self.volt_limit, (self.current_a or 0.0) / self.current_limit_a)
 
     def at_least(self, volts: float) -> Demand:
@@ -82,7 +82,7 @@ class Demand:
 
     @property
     def bound_by(self) -> str:
-        """The limit with the least reserve: ``"current"`` or ``"voltage"``."""
+        """Name of the limit with the smaller reserve: ``"current"`` or ``"voltage"``."""
         current = (self.current_a or 0.0) / self.current_limit_a
         return "current" if current >= self.volts / self.volt_limit else "voltage"
 
@@ -134,8 +134,8 @@ class AxisPreview:
     """Computes the references of a controller from the motion of its axis, block by block.
 
     At tick k the filter must output the voltage that the plant needs ``early_s`` later. The
-    reference is the predicted sensor reading plus the error for which the filter outputs that
-    voltage.
+    reference at tick k is the predicted sensor reading plus the error for which the filter outputs
+    this voltage.
 
     Parameters
     ----------
@@ -173,7 +173,7 @@ class AxisPreview:
 
     @property
     def orders(self) -> int:
-        """Number of columns of a ladder: the position and all required derivatives."""
+        """Number of columns of a ladder: the position and its required derivatives."""
         return self.inverse.degree + 1
 
     @property
@@ -188,12 +188,13 @@ class AxisPreview:
         ----------
         time_s
             (k,) times of the next ticks of the controller; the load is at rest before the first
-            one.
+            tick.
         now
             (k, orders) ladder: position of the load and its derivatives at these ticks.
         early
-            (k, orders) ladder ``timing.early_s`` and ``ahead`` ticks after these ticks. In the
-            first call (ahead + k, orders), beginning ``timing.early_s`` after the first tick.
+            (k, orders) ladder at ``timing.early_s`` plus ``ahead`` ticks after these ticks. In the
+            first call the shape is (ahead + k, orders), and the ladder begins ``timing.early_s``
+            after the first tick.
         """
         from scipy.signal import lfilter
 
@@ -244,17 +245,17 @@ class AxisPreview:
 class _Inner:
     """Inner states ``eta' = Q eta + R (y ... y^(r-1))`` at equally spaced instants.
 
-    Between two instants the input ``R ladder`` is approximated by the cubic with its values and
-    slopes at both, known from the derivatives; the error is ``T^4 / 384`` times its fourth
-    derivative.
+    Between two instants the input ``R ladder`` is approximated by the cubic with the same values
+    and slopes at both instants; the slopes are known from the derivatives. The error is ``T^4 /
+    384`` times the fourth derivative of the input.
     """
 
     def __init__(self, inverse: Inverse, step_s: float) -> None:
         self._Q, self._R = inverse.Q, inverse.R
         decay, (m0, m1, m2, m3) = decay_and_moments(inverse.Q, step_s, 4)
-        # Always contiguous: another memory layout would compile another version of ``_recur``.
+        # Always contiguous: numba would compile another version of ``_recur`` for another layout.
         self._decay: FloatArray = np.ascontiguousarray(decay)
-        # Hermite's four cubics: value and slope (times the step) at the start, then at the end.
+        # Hermite's four cubics: for value and slope (times the step) at the start and at the end.
         self._start = (m0 - 3.0 * m2 + 2.0 * m3, step_s * (m1 - 2.0 * m2 + m3))
         self._end = (3.0 * m2 - 2.0 * m3, step_s * (m3 - m2))
         self._state: FloatArray = np.zeros(len(inverse.Q))

@@ -24,7 +24,7 @@ class Step:
     Parameters
     ----------
     time_s, value
-        (k,) ticks of the controller in s, and the response; the step is at 0.
+        (k,) times of the controller's ticks, s, and the response; the step is at time 0.
     final
         Steady state of the response.
     rise_s
@@ -32,7 +32,7 @@ class Step:
     settling_s
         Time until the response stays within 2 % of the final value.
     overshoot
-        (Largest value - final value) / final value; 0 for no overshoot.
+        (Largest value - final value) / final value; 0 without overshoot.
     peak_s
         Time of the largest value.
     steady_state_error
@@ -61,7 +61,7 @@ def step_response(
     output
         ``"measured"``, ``"load"`` or ``"frame"``.
     duration_s
-        By default until the slowest closed-loop pole has decayed to 1e-4.
+        Length of the response; by default until the slowest closed-loop pole has decayed to 1e-4.
     """
     closed = loop.closed()
     radius = closed.spectral_radius
@@ -78,7 +78,7 @@ def step_response(
     value = np.ascontiguousarray(closed.respond(reference)[:, row])
     final = float(closed.steady()[row, loop.index]) * loop.counts_per_unit
     if final == 0.0:
-        return None  # the figures are relative to the final value
+        return None  # the figures are relative to the final value, which is 0
     time_s = np.asarray(np.arange(len(value)) * closed.period_s, dtype=np.float64)
     return read_step(time_s, value, final)
 
@@ -125,7 +125,7 @@ def _between(time_s: FloatArray, share: FloatArray, k: int, level: float) -> flo
     return float(time_s[k] + part * (time_s[k + 1] - time_s[k]))
 
 
-_CLOSED_LOOP_DECAY = 1e-5  # the response is truncated at this share of the slowest pole's motion
+_CLOSED_LOOP_DECAY = 1e-5  # the response is cut off when the slowest pole has decayed to this share
 _CLOSED_LOOP_MOST_TICKS = 50_000
 
 
@@ -160,8 +160,8 @@ class Answer(Locked):
     def moments(self) -> tuple[float, float]:
         """First moment of the taps in s, and half of their second moment in s^2.
 
-        For a slowly changing reference r the load is at ``r - first r' + second r''``; ``first`` is
-        the lag.
+        For a slowly changing reference r the position of the load is ``r - first r' + second r''``.
+        Therefore ``first`` is the lag.
         """
         time_s = np.arange(len(self.taps)) * self.period_s
         return float(self.taps @ time_s), 0.5 * float(self.taps @ time_s**2)
@@ -172,8 +172,8 @@ class Answer(Locked):
         Parameters
         ----------
         reference
-            (k,) m or rad, one per tick of the controller; before them the load rests at the first
-            one.
+            (k,) references, m or rad, one per tick of the controller. Before them the load rests at
+            the first reference.
         """
         start = reference[0]
         return np.asarray(start + _filtered(reference - start, self.taps))
@@ -182,7 +182,8 @@ class Answer(Locked):
 def _filtered(values: FloatArray, taps: FloatArray) -> FloatArray:
     """Return (k,) values filtered by (n,) taps, by the overlap-add method.
 
-    ``scipy.signal.oaconvolve`` does the same but takes a second to import: a fifth of a short job.
+    ``scipy.signal.oaconvolve`` does the same, but its import takes a second: a fifth of the time of
+    a short job.
     """
     size = 1 << (4 * len(taps) - 1).bit_length()
     step = size - len(taps) + 1
@@ -200,7 +201,7 @@ _RECENT: Recent[Machine, dict[str, Answer]] = Recent(8, lambda a, b: a is b or a
 def answers_of(machine: Machine, values: Values | None = None) -> dict[str, Answer]:
     """Return the response of every axis of ``machine`` with a controller, by name.
 
-    If axes share bodies, the references of the other axes are 0.
+    If axes share bodies, the response of an axis holds for references 0 of the other axes.
 
     Parameters
     ----------
@@ -226,14 +227,14 @@ def _answer(loop: Loop) -> Answer:
     reference = np.zeros((ticks, len(loop.controllers)))
     reference[0, loop.index] = loop.counts_per_unit
     taps = closed.respond(reference)[:, closed.outputs.index(f"{loop.axis}.load")]
-    # The load reaches its reference, so the truncated taps are scaled to the sum 1.
+    # The load finally reaches its reference, so the truncated taps are scaled to the sum 1.
     return Answer(axis=loop.axis, period_s=closed.period_s, taps=taps / taps.sum())
 
 
 def speed_response(loop: Loop, omega_rad_s: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return (k,) magnitude of speed per volt in dB relative to zero frequency, and (k,) phase.
+    """Return the (k,) magnitude of speed per volt, dB relative to zero frequency, and (k,) phase.
 
-    It is the continuous response of amplifier and plant, without sampling.
+    This is the continuous response of amplifier and plant, without sampling.
     """
     own = loop.axis_plant()
 

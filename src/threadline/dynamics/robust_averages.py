@@ -1,25 +1,26 @@
 r"""Robust moving averages: smoothing weights with little vibration over all tolerances.
 
 Feed-forward plans for the nominal machine. On a machine with other masses or stiffnesses the load
-vibrates after each change of speed, as far as the intended motion excites its mode. The moving
-average that smooths a motion for the inverse has many weights, and only their sum and first moment
-are fixed, to preserve straight lines and times. The others are free, and the problem is linear: the
-response of every machine to a change of speed is a weighted sum of its responses to shifted
-splines.
+vibrates after each change of speed, because the intended motion excites its mode. The moving
+average that smooths a motion for the inverse has many weights. Only the sum and the first moment of
+the weights are fixed, which preserves straight lines and times. Otherwise the weights are free, and
+the problem is linear: the response of every machine to a change of speed is a weighted sum of its
+responses to shifted splines.
 
 .. math:: \min_w \epsilon, \quad |S_k(t) - 1| \le \epsilon \text{ once the speed must be constant},
           \quad S_k(t) = \sum_i w_i B_k(t - i h)
 
-over all machines k, where ``B_k`` is the response to a step of speed at 0 smoothed only by the
-spline. A stop is a start in reversed time. Further constraints: the load reaches its speed in time
-after its departure (:data:`STILL`, :data:`THERE`), it stays near its position while another axis
-moves, and the current stays within the amplifiers' limits. The linear program contains only the
-binding instants: instants that its result violates are added, and it is solved again.
+over all machines k, where ``B_k`` is the response to a step of speed at time 0 that is smoothed
+only by the spline. A stop is a start in reversed time. There are further constraints: the load
+reaches its speed in time after its departure (:data:`STILL`, :data:`THERE`), it stays near its
+position while another axis moves, and the current stays within the limits of the amplifiers. The
+linear program contains only the binding instants: instants at which its result violates a
+constraint are added, and the program is solved again.
 
-Every program is feasible: all constraints share an excess variable whose cost is so high that it is
-0 if possible. If it exceeds a margin, there are no weights. The reason is that HiGHS often fails on
-programs that may be infeasible, here with nearly equal neighbouring rows; it also fails on some
-feasible ones.
+Every program is feasible, because all hard constraints share an excess variable. Its cost is so
+high that it is 0 if possible. If it exceeds a margin, there are no admissible weights. Programs
+that may be infeasible are avoided because HiGHS often fails on them, here with nearly equal
+neighbouring rows; it also fails on some feasible programs.
 """
 
 from __future__ import annotations
@@ -41,7 +42,7 @@ and current / step in A s/m or A s/rad (None without a coil)."""
 
 
 def frequencies_rad_s(period_s: float, count: int) -> FloatArray:
-    """Return the frequencies of ``count`` samples; 0 is replaced by a very low frequency."""
+    """Return the frequencies of the transform of ``count`` samples; 0 becomes very low."""
     omega = 2.0 * np.pi * np.fft.rfftfreq(count, period_s)
     omega[0] = 1e-3 * omega[1]
     return np.asarray(omega)
@@ -49,7 +50,7 @@ def frequencies_rad_s(period_s: float, count: int) -> FloatArray:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WeightGrid:
-    """Instants of the weights, and of the responses from which they follow.
+    """Instants of the weights, and of the responses from which the weights are computed.
 
     Parameters
     ----------
@@ -100,37 +101,39 @@ def _answer_steps(answers: Answers, machines: Sequence[CornerResponse], grid: We
 
 
 STILL, THERE, ACROSS = 0.0065, 0.953, 0.1
-"""Speeds as shares of the intended speed: largest speed of the nominal load at rest; smallest speed
-of every machine when its speed is reached; largest speed of a load while another axis moves. Seams
-require 1 % and 95 %; a tenth across the path adds 0.5 %."""
+"""Speeds as shares of the intended speed: largest speed of the nominal load that counts as rest;
+smallest speed of every machine that counts as reached; largest speed of a load while another axis
+moves. Seams require 1 % and 95 % for the first two. A tenth of the speed across the path makes the
+speed along the path 0.5 % higher."""
 _SPARE = 0.012  # share of the speed that is added to THERE if it costs little
-_FIRST_ROWS = 2048  # every n-th instant is in the first program; violated ones are added
+_FIRST_ROWS = 2048  # every n-th instant is in the first program; violated instants are added
 _MOST_ROUNDS = 100
-_CLOSE = 1e-6  # of the step: largest violation at any instant
-_RISES = 1e-9  # of the cost: smaller increases do not count
-_NEAR = 0.01  # of the step: instants with more reserve are dropped from the next program
+_CLOSE = 1e-6  # largest violation at any instant, as a share of the step
+_RISES = 1e-9  # a smaller increase of the cost, as a share, does not count
+_NEAR = 0.01  # instants with more reserve, as a share of the step, leave the next program
 MEAN_S = 0.0021
 """Time over which a speed is measured, with a small reserve, s."""
-_SEEN = 16.0  # times the time of a change: the load is checked so long after it
-_LOOKED = 4.0  # times the time of a change: the current is checked so long before and after it
+_SEEN = 16.0  # the load is checked for so many times the time of a change after it
+_LOOKED = 4.0  # the current is checked so many times the time of a change before and after it
 _ERROR, _SHARE, _LATE, _EXCESS = 0, 1, 2, 4
-"""Indices of slacks: constant speed, current, reached speed, (3: the largest weight), all hard
-constraints."""
+"""Indices of slacks: constant speed, current, reached speed, and all hard constraints (4). Index 3
+is the largest weight."""
 _LATE_COSTS = 0.1  # cost of a speed not yet reached, relative to the largest error
 _DRIVEN = 0.05  # cost of the share of the current, relative to the largest error
 _SPIKES = 1e-4  # cost of the largest weight, relative to the largest error
 _SIZE = 1e-5
-"""Cost of the size of a weight, up to twice this for the last one, relative to the largest error.
-It makes the optimum unique and independent of rounding if many weights have the same error."""
+"""Cost of the magnitude of a weight, relative to the largest error; it rises to twice this number
+for the last weight. It makes the optimum unique and independent of rounding if many sets of weights
+have the same error."""
 _EXCESS_COSTS = 1000.0
-"""Cost of the excess of hard constraints: an excess of the margin costs as much as an error of a
-tenth of the speed, which would be useless."""
-_MARGIN = 1e-4  # of speed, room or current: a smaller violation of a hard constraint is allowed
-_LARGEST = 10.0  # bound of weights; actual weights are below 0.3
+"""Cost of the excess of hard constraints: an excess of ``_MARGIN`` costs as much as an error of a
+tenth of the speed, with which the weights would be useless."""
+_MARGIN = 1e-4  # allowed violation of a hard constraint, as a share of speed, room or current
+_LARGEST = 10.0  # bound on weights; actual weights are below 0.3
 _DEAREST = 1.0 + _DRIVEN + _LATE_COSTS * _SPARE + _EXCESS_COSTS * _MARGIN
-"""Cost above which a program is abandoned: the error equals the speed, or the excess exceeds the
-margin. The cost of the weights is negligible."""
-_KEPT = 0.5 * _CLOSE  # a solution that violates a row of its program by more is rejected
+"""Cost above which a program is abandoned: the error is then as large as the speed, or the excess
+exceeds the margin. The cost of the weights is negligible."""
+_KEPT = 0.5 * _CLOSE  # a solution is rejected if it violates a row of its program by more
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -140,14 +143,14 @@ class StepOfSpeed:
     Parameters
     ----------
     speed
-        m/s or rad/s.
+        Change of speed, m/s or rad/s.
     room
-        Allowed motion of the load while the path is along another axis, before a start and after a
-        stop, m or rad.
+        Allowed motion of the load, before a start and after a stop, while the path is along another
+        axis, m or rad.
     current_limit_a
         Available current; infinite for no limit.
     machines
-        The first one is the nominal machine of the plan.
+        The machines; the first one is the nominal machine of the plan.
     """
 
     speed: float
@@ -158,26 +161,28 @@ class StepOfSpeed:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ChangeOfSpeed:
-    """Requirements on a start, a step of speed at time 0, or on a stop, in reversed time.
+    """Requirements on a start (a step of speed at time 0), or on a stop in reversed time.
 
     Parameters
     ----------
     stop
-        Whether it is a stop.
+        Whether the change is a stop.
     early_s, still_s
-        The nominal load may depart ``early_s`` before 0, and must be at rest from ``still_s``
-        before 0 until then; earlier it may swing back.
+        The nominal load may depart ``early_s`` before time 0. It must be at rest from ``still_s``
+        before time 0 until its departure; before that it may swing back.
     within_s
         Time from the departure until every machine has the speed.
     even_s
-        Time from which the speed must be constant.
+        Time after time 0 from which the speed must be constant.
     aside_s
-        Another axis moves until ``aside_s`` before 0; the load must stay in its room until then.
+        Another axis moves until ``aside_s`` before time 0; until then the load must stay within
+        ``room``.
     share
         Smallest and largest planned speed, as shares of the intended speed.
     mean_s
-        Time over which the mean speed must be constant, 0 for the speed itself. If above 0, the
-        time to reach the speed and the rest before the start are not constrained.
+        Time over which the mean speed must be constant; 0 if the speed itself must be constant. If
+        it is above 0, neither the time to reach the speed nor the rest before the start is
+        constrained.
     swing
         Largest speed of the nominal load before its departure, as a share of the intended speed.
     """
@@ -205,7 +210,7 @@ class RobustWeights:
         Largest speed error of any machine while the speed must be constant, as a share of the
         speed.
     cost
-        Objective: the error, plus small terms for current and weights.
+        Value of the objective: the error, plus small terms for current and weights.
     slack
         Slacks of the constraints, in the order of the program's unknowns.
     """
@@ -218,7 +223,7 @@ class RobustWeights:
 
 @dataclass(slots=True)
 class _Band:
-    """Constraints ``low - slack <= R w <= high + slack``; slack is the sum of some unknowns."""
+    """Constraints ``low - slack <= R w <= high + slack``, where slack is a sum of unknowns."""
 
     R: FloatArray
     low: FloatArray
@@ -237,7 +242,8 @@ def robust_weights(
 ) -> RobustWeights | None:
     """Return the weights with the smallest error over all machines; None if infeasible.
 
-    It is infeasible if the current is too low for the change of speed in the given time.
+    The problem is infeasible if the available current is too low for the change of speed in the
+    given time.
 
     Parameters
     ----------
@@ -246,10 +252,10 @@ def robust_weights(
     grid
         Instants of the weights and of the responses.
     near
-        Weights of a similar problem: the first program contains their binding instants, so fewer
-        programs are needed. The result is the same.
+        Weights of a similar problem: the first program contains their binding instants, so that
+        fewer programs are needed. The result is the same.
     dearest
-        Return None if the cost reaches this value.
+        Cost from which on the result is None.
     kept
         Cache of responses from calls with the same ``grid``; this call adds to it.
 
@@ -272,9 +278,9 @@ def robust_weights(
 def _least(
     bands: Sequence[_Band], shift: FloatArray, near: RobustWeights | None, dearest: float
 ) -> RobustWeights | None:
-    """Return the weights, of first moment 0 over ``shift``, with the smallest error over all bands.
+    """Return the weights with first moment 0 over ``shift`` and the smallest error over all bands.
 
-    None if hard constraints cannot be met, or if the cost reaches ``dearest``.
+    The result is None if the hard constraints cannot be met, or if the cost reaches ``dearest``.
     """
     # Unknowns: positive parts of the weights, negative parts, then the slacks, including the
     # magnitude of the largest weight.
@@ -311,7 +317,7 @@ def _least(
         weights, slacks = found[:count] - found[count:first], found[first:]
         reached = float(cost @ found)
         if reached >= dearest:
-            return None  # more instants can only raise the cost
+            return None  # more instants can only increase the cost
         over = [_over(band, weights, slacks) for band in bands]
         peaks = [np.flatnonzero(_peaks(one)) for one in over]
         if not any(len(new) for new in peaks):
@@ -320,8 +326,7 @@ def _least(
             return RobustWeights(
                 weights=weights, error=float(slacks[_ERROR]), cost=reached, slack=slacks
             )
-        # Dropped instants may return, but only while the cost rises, so that no program is
-        # repeated.
+        # Instants are dropped only while the cost rises, so that no program is repeated.
         rises = reached > least + _RISES
         least = max(reached, least)
         chosen = [
@@ -393,10 +398,10 @@ def _bands(
     S, current = answer
     if change.stop:
         # In reversed time a stop is a start. The weights have the sum 1.
-        last = len(t) - 1  # the opposite of instant 0 would be one instant further
+        last = len(t) - 1  # the mirror image of instant 0 would lie one instant outside
         S = 1.0 - S[np.concatenate([[last], np.arange(last, 0, -1)])]
     least, most = change.share
-    # A speed is measured as a mean, so it must last for that time.
+    # A speed is measured as a mean over ``MEAN_S``, so it must last for this time.
     due = change.within_s - change.early_s
     there = np.flatnonzero((t >= due - MEAN_S) & (t <= due))
     even = np.flatnonzero((t >= change.even_s) & (t <= _SEEN * change.within_s))
@@ -423,14 +428,14 @@ def _bands(
     if planned and np.isfinite(change.swing):
         before = np.flatnonzero(t <= -change.early_s)
         bands.append(_Band(S[before], *_within(change.swing, len(before))))
-    # While another axis has its constant speed, motion across the path makes the load faster.
+    # While another axis moves at constant speed, motion across its path adds to the load's speed.
     across = S[t <= -(change.aside_s + change.within_s)]
     bands.append(_Band(across, *_within(ACROSS, len(across))))
     way = np.cumsum(S[t <= -change.aside_s], axis=0) * ((t[1] - t[0]) * axis.speed / axis.room)
     bands.append(_Band(way, *_within(1.0, len(way))))
     limited = np.isfinite(axis.current_limit_a) and axis.speed > 0.0
     if one.current_s_a_m is not None and current is not None and limited:
-        # As a share of the limit, so that all rows have similar magnitudes.
+        # Shares of the limit, so that all rows have similar magnitudes.
         near = np.abs(t) <= _LOOKED * change.within_s
         share = current[near] * (axis.speed / axis.current_limit_a)
         # A stop removes the current of the motion, which already uses part of the limit.

@@ -1,16 +1,16 @@
 """Linear models, sampled and continuous: state space with dead time, digital filters, closed loops.
 
 The difference equation is ``u = b0 e + b1 e' + b2 e'' - a1 u' - a2 u''`` in DAC levels, where each
-prime means one tick earlier. In its continuous form a sum over ticks is an integral and a
-difference per tick is a derivative. A lead filter is converted by Tustin's rule, so that
-``K (z - A) / (z + B)`` has its zero at ``(2/T)(1 - A)/(1 + A)``, its pole at
-``(2/T)(1 + B)/(1 - B)`` and the high-frequency gain ``K (1 + A)/(1 - B)``.
+prime means one tick earlier. In the continuous form of a controller a sum over ticks is an integral
+and a difference per tick is a derivative. A lead filter is converted by Tustin's rule:
+``K (z - A) / (z + B)`` has its zero at ``s = -(2/T)(1 - A)/(1 + A)``, its pole at
+``s = -(2/T)(1 + B)/(1 - B)`` and the high-frequency gain ``K (1 + A)/(1 - B)``.
 
-With a dead time of ``d T + f``, ``0 <= f < T``, a held value reaches the plant ``f`` after a tick.
-Within a tick the older value therefore acts for ``f`` and the newer one for ``T - f``. Both parts
-are matrix exponentials, so the dead time is neither rounded to a tick nor approximated by a
-rational function (Franklin, Powell and Workman, *Digital Control of Dynamic Systems*, section
-4.3.4).
+With a dead time of ``d T + f``, ``0 <= f < T``, a held value reaches the plant at the time ``f``
+after a tick. Within a tick the older value therefore acts for the time ``f`` and the newer value
+for ``T - f``. The effects of both are matrix exponentials, so the dead time is neither rounded to a
+tick nor approximated by a rational function (Franklin, Powell and Workman, *Digital Control of
+Dynamic Systems*, section 4.3.4).
 """
 
 from __future__ import annotations
@@ -135,7 +135,8 @@ class DigitalFilter(Locked):
     Parameters
     ----------
     numerator, denominator
-        (3,) ``b0 b1 b2`` in V/count and ``1 a1 a2`` without unit, of the difference equation.
+        (3,) coefficients of the difference equation: ``b0 b1 b2`` in V/count, and ``1 a1 a2``
+        without unit.
     continuous_numerator, continuous_denominator
         Polynomials in s, highest power first, of the continuous form in V/count.
     period_s
@@ -183,7 +184,7 @@ def difference_equation(
     Raises
     ------
     MachineError
-        For a state-space controller, which has none.
+        For a state-space controller, which has no difference equation of one error.
     """
     controller, path = machine.controllers[name], f"controllers.{name}"
     if isinstance(controller, StateSpaceController):
@@ -224,7 +225,7 @@ def difference_equation(
 def digital_filter(machine: Machine, name: str, values: Values | None = None) -> DigitalFilter:
     """Return the controller ``name`` with its DAC, in volts per count.
 
-    ``values`` may replace numbers; its first variant is used.
+    ``values`` may replace numbers of the machine; the first variant is used.
     """
     used = Values.of(machine) if values is None else values
     controller = machine.controllers[name]
@@ -258,7 +259,7 @@ def digital_filter(machine: Machine, name: str, values: Values | None = None) ->
 
 
 _ROUNDING = 1e-9
-_MOST_TICKS = 4000  # of dead time; each is a state, and eigenvalues of so many take 20 s
+_MOST_TICKS = 4000  # of dead time; each tick is a state, and eigenvalues of 4000 states take 20 s
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -270,7 +271,8 @@ class SampledPlant:
     transition
         (n, n) matrix of the states over a tick.
     newer, older
-        (n, inputs) effect over a tick of the value delayed by d ticks, and of the value before it.
+        (n, inputs) effect over a tick of the input that is delayed by d ticks, and of the input
+        before it.
     ticks
         Whole ticks d of dead time of each input.
     C
@@ -342,7 +344,7 @@ def sample(plant: StateSpace, period_s: float) -> SampledPlant:
     Raises
     ------
     ValueError
-        If the plant has direct feedthrough.
+        If the plant has direct feedthrough (D is not 0).
     """
     if np.any(plant.D):
         raise ValueError("a plant with direct feedthrough cannot be sampled here")
@@ -386,7 +388,7 @@ def close_loop(
     Raises
     ------
     MachineError
-        If the dead times last too many ticks; each tick is a state.
+        If the dead times have too many ticks: each tick is a state.
     """
     period = filters[0].period_s
     sampled = sample(plant, period)

@@ -1,18 +1,20 @@
-"""Tension of a fibre between a braked spool with a spring arm and a mandrel, compiled.
+"""Tension of a fibre between a braked spool with a spring arm and a mandrel, in compiled code.
 
-With the elongation e of the fibre, the speed w of the spool and the way y of the arm's roller::
+With the elongation e of the fibre, the speed w of the spool and the position y of the arm's
+roller::
 
-    e' = v - r w - 2 y'                  v: speed at which the eye gives out fibre
+    e' = v - r w - 2 y'                  v: speed at which the fibre leaves the eye
     T  = k e + c e' > 0                  0 while e < 0: the fibre is slack
     J w' = T r - torque(y)               at w > 0; at w = 0 the brake holds up to its stiction
-    m y'' = 2 T - preload - ka y - ca y' between two stops, which take up all of its speed
+    m y'' = 2 T - preload - ka y - ca y' between two stops, at which y' becomes 0
     torque(y) = torque - release (y - travel / 2) >= 0
 
-The fibre pulls at the spool and never pushes, so w is never below 0. At the eye the tension is
-larger by the share that the guides add while the fibre runs out, and lower by it while it runs
-back; it turns round over a millimetre of fibre, and a rest keeps it. Each change (the spool sticks
-or breaks away, the arm reaches or leaves a stop, the fibre falls slack or becomes taut) is located
-in time, so the method of Runge and Kutta keeps its fourth order.
+The fibre can pull at the spool but not push it, so w is never below 0. Friction in the guides
+multiplies the tension at the eye by a factor while the fibre runs out, and divides it by the same
+factor while the fibre runs back. The friction reverses gradually over a millimetre of fibre, and
+keeps its value at rest. Each change of the mode (the spool sticks or breaks away, the arm reaches
+or leaves a stop, the fibre falls slack or becomes taut) is located in time, so that the Runge-Kutta
+method keeps its fourth order.
 """
 
 from __future__ import annotations
@@ -28,19 +30,19 @@ from threadline.errors import MachineError
 from threadline.machine import Machine
 
 E, W, Y, DY, STUCK, STOP, TAUT, SPEED, DRAGS, TENSION = range(10)
-"""Entries of a state: elongation of the fibre, m; speed of the spool, rad/s; way and speed of the
-arm's roller; 1 while the brake holds the spool; -1 and 1 while the arm is at its lower and upper
-stop; 1 while the fibre is taut; speed of the fibre at the eye, m/s; share of the guides' friction
-that acts, from -1 to 1; tension at the eye, N."""
+"""Indices in a state: elongation of the fibre, m; speed of the spool, rad/s; position, m, and
+speed, m/s, of the arm's roller; 1 while the brake holds the spool; -1 or 1 while the arm is at its
+lower or upper stop; 1 while the fibre is taut; speed of the fibre at the eye, m/s; acting share of
+the friction in the guides, from -1 to 1; tension at the eye, N."""
 STATES = 10
 R, J, TORQUE, STICTION, FRICTION, K, C, MASS, KA, CA, PRELOAD, TRAVEL, RELEASE = range(13)
-"""Numbers of a spool, in SI: ``STICTION`` as a share of the torque."""
+"""Indices in the numbers of a spool, SI; ``STICTION`` is a multiple of the torque."""
 NUMBERS = 13
-_PER_RATE = 0.2  # of a step, times the fastest rate: an error of 3e-6 of the fastest motion
-_MOST_STEPS = 4000  # in a tick
-_MOST_CHANGES = 64  # in a step
-_TURNS_M = 1e-3  # way of the fibre in which the guides' friction turns round
-_FINE = 1e-12  # of a step: a change is located to this
+_PER_RATE = 0.2  # largest step times fastest rate: gives an error of 3e-6 of the fastest motion
+_MOST_STEPS = 4000  # largest number of steps in a tick
+_MOST_CHANGES = 64  # largest number of mode changes in a step
+_TURNS_M = 1e-3  # length of fibre over which the friction in the guides reverses
+_FINE = 1e-12  # a change is located within this share of a step
 
 
 def spool_numbers(machine: Machine, values: Values) -> FloatArray:
@@ -79,12 +81,12 @@ def spool_numbers(machine: Machine, values: Values) -> FloatArray:
 
 
 def steps_in(machine: Machine, numbers: FloatArray, tick_s: float) -> IntArray:
-    """Return the (variants,) numbers of steps in a tick that (variants, 13) spools need.
+    """Return the (variants,) numbers of steps per tick, for (variants, 13) numbers of spools.
 
     Raises
     ------
     MachineError
-        If one of them is too large.
+        If a spool needs more than 4000 steps.
     """
     soft = 4.0 / numbers[:, MASS] + numbers[:, R] ** 2 / numbers[:, J]
     own = numbers[:, KA] / numbers[:, MASS]
@@ -102,21 +104,21 @@ def steps_in(machine: Machine, numbers: FloatArray, tick_s: float) -> IntArray:
 
 
 def slack(runs: int) -> FloatArray:
-    """Return (runs, 10) states: the arm at its lower stop, the spool held, the fibre just slack."""
+    """Return (runs, 10) states: arm at its lower stop, spool held, fibre slack without a gap."""
     found = np.zeros((runs, STATES))
     found[:, STUCK], found[:, STOP] = 1.0, -1.0
     return found
 
 
 def drawn(numbers: FloatArray) -> FloatArray:
-    """Return (runs, 10) states: the spool held, as it stops after a slow and even motion.
+    """Return (runs, 10) states: spool held and fibre tight, as after a slow and even motion.
 
-    Arm and brake balance as ``Spool.tension_n`` says.
+    Arm and brake are in balance, as in ``Spool.tension_n``.
 
     Parameters
     ----------
     numbers
-        (runs, 13).
+        (runs, 13) numbers of the spools.
     """
     n = numbers.T
     most = n[TORQUE] + n[RELEASE] * 0.5 * n[TRAVEL]
@@ -158,7 +160,7 @@ def _given(at_s: float, given: tuple[float, float, float, float]) -> float:
 def _slope(
     x: tuple[float, float, float, float], mode: tuple[bool, int, bool], v: float, n: FloatArray
 ) -> tuple[float, float, float, float]:
-    """Return the rates of elongation, spool, way and speed of the arm."""
+    """Return the rates of elongation, spool speed, and position and speed of the arm."""
     e, w, y, dy = x
     stuck, stop, taut = mode
     pull = _pull(e, w, dy, taut, v, n)
@@ -190,12 +192,12 @@ def _stepped(
     Parameters
     ----------
     x, mode
-        Elongation, speed of the spool, way and speed of the arm; whether the spool is held, the
-        stop of the arm, whether the fibre is taut.
+        Elongation, speed of the spool, position and speed of the arm; and whether the spool is
+        held, the stop of the arm (-1, 0, 1), whether the fibre is taut.
     given
-        Speed of the fibre at the ends of the tick, its mean, and the length of the tick.
+        Speed of the fibre at the beginning and end of the tick, mean speed, and length of the tick.
     at_s, h
-        Time since the beginning of the tick, and step.
+        Time since the beginning of the tick, and length of the step.
     """
     middle = _given(at_s + 0.5 * h, given)
     a = _slope(x, mode, _given(at_s, given), n)
@@ -210,9 +212,10 @@ def _stepped(
 def _beyond(
     x: tuple[float, float, float, float], mode: tuple[bool, int, bool], v: float, n: FloatArray
 ) -> int:
-    """Return the end of its mode that a state is beyond; 0 for none.
+    """Return which boundary of its mode a state has crossed; 0 for none.
 
-    The ends are: 1 the spool's, 2 the arm's lower and 3 its upper one, 4 the fibre's.
+    Boundary 1 belongs to the spool (held or turning), 2 and 3 to the arm's lower and upper stop,
+    and 4 to the fibre (slack or taut).
     """
     e, w, y, dy = x
     stuck, stop, taut = mode
@@ -241,7 +244,7 @@ def _beyond(
 def _changed(
     x: tuple[float, float, float, float], mode: tuple[bool, int, bool], end: int, n: FloatArray
 ) -> tuple[tuple[float, float, float, float], tuple[bool, int, bool]]:
-    """Return state and mode behind an end."""
+    """Return state and mode after the boundary ``end`` was crossed."""
     e, w, y, dy = x
     stuck, stop, taut = mode
     if end == 1:
@@ -264,7 +267,7 @@ def _one_step(
     h: float,
     n: FloatArray,
 ) -> tuple[tuple[float, float, float, float], tuple[bool, int, bool]]:
-    """Return state and mode a time h later, with the changes of the mode on the way."""
+    """Return state and mode a time h later, including all changes of the mode in this time."""
     at, left = begin_s, h
     for _ in range(_MOST_CHANGES):
         after = _stepped(x, mode, given, at, left, n)
@@ -292,21 +295,21 @@ def _one_step(
 def unwind(
     z: FloatArray, n: FloatArray, used_m: float, speed_m_s: float, tick_s: float, steps: int
 ) -> None:
-    """Advance the state of a spool by a tick in which the eye gives out a length of fibre.
+    """Advance the state of a spool by a tick in which a length of fibre leaves the eye.
 
     Parameters
     ----------
     z
-        (10,) state, which is updated.
+        (10,) state, which this function updates.
     n
         (13,) numbers of the spool.
     used_m
-        Length of fibre that the eye gives out in the tick, m; negative: it gives it back.
+        Length of fibre that leaves the eye in the tick, m; negative if fibre runs back.
     speed_m_s
-        Speed of the fibre at the end of the tick, m/s. The state has its speed at the beginning;
-        between them the length is the cubic with these speeds and this length.
+        Speed of the fibre at the end of the tick, m/s. The state has the speed at the beginning.
+        Within the tick the length is the cubic with these speeds and this total length.
     tick_s, steps
-        Length of the tick, s, and the number of equal steps in it.
+        Length of the tick, s, and number of equal steps in it.
     """
     given = (z[SPEED], speed_m_s, used_m / tick_s, tick_s)
     x = (z[E], z[W], z[Y], z[DY])

@@ -1,29 +1,30 @@
-r"""Designs of controllers that are numbers of the kind ``state-space``.
+r"""Designs of ``state-space`` controllers.
 
-All run on the clock of the references and read sensors only; what they know of the load is their
-observer's estimate. The plant is sampled exactly, dead time included (``sampled``):
+All designs run on the clock of the references and read only sensors: their knowledge of the load is
+the estimate of an observer. The plant is sampled exactly, including dead time (``sampled``):
 
     X[k+1] = F X[k] + G (u[k] + d[k]),  y[k] = H X[k]
 
-X holds the states of the plant and the voltages on their way, d an unknown voltage that drifts,
-which takes the place of friction and of every error of the gains.
+X holds the states of the plant and the voltages that dead time still delays. The unknown, slowly
+drifting voltage d stands for friction and for errors of the gains.
 
 ``lqg``
-    ``u = -K X + N r - d``, the optimal regulator for the cost ``sum (q e)^2 + u^2``, with e the
-    error of the loads in counts and u in DAC levels; X and d are the estimates of a Kalman filter
-    (Franklin, Powell and Workman, *Digital Control of Dynamic Systems*, chapter 9). q is the gain
-    that a loop with an integrating plant then has at rest, in DAC levels per count.
+    ``u = -K X + N r - d``, the optimal regulator for the cost ``sum (q e)^2 + u^2``, where e is the
+    error of the loads in counts and u is in DAC levels. X and d are the estimates of a Kalman
+    filter (Franklin, Powell and Workman, *Digital Control of Dynamic Systems*, chapter 9). With an
+    integrating plant, q is the static gain of the resulting controller in DAC levels per count.
 ``preview``
-    The same for a reference that is known n ticks ahead (Tomizuka and Rosenthal, "On the optimal
-    digital state vector feedback controller with integral and preview actions", Journal of Dynamic
-    Systems, Measurement and Control 101, 1979): :math:`u = -K X + M \sum_{j \ge 0} (F_c^T)^j C^T
-    q^2 r_{k+1+j}` with :math:`F_c = F - G K`; after the last known reference nothing changes. The
-    controller gets its references one by one, so it delays the motion by n ticks.
+    The same regulator for a reference that is known n ticks ahead (Tomizuka and Rosenthal, "On the
+    optimal digital state vector feedback controller with integral and preview actions", Journal of
+    Dynamic Systems, Measurement and Control 101, 1979): :math:`u = -K X + M \sum_{j \ge 0}
+    (F_c^T)^j C^T q^2 r_{k+1+j}` with :math:`F_c = F - G K`. The reference is assumed constant after
+    the last known one. The controller gets the references one by one, so it delays the motion by n
+    ticks.
 ``zpetc``
-    The regulator behind a filter of its references that cancels its poles and its decaying zeros,
-    and the phase of all other zeros (Tomizuka, "Zero phase error tracking algorithm for digital
-    control", Journal of Dynamic Systems, Measurement and Control 109, 1987). It looks ahead, too,
-    and so delays the motion by as many ticks.
+    The regulator with a filter of its references, which cancels the poles and the decaying zeros of
+    the closed loop, and the phase of all other zeros (Tomizuka, "Zero phase error tracking
+    algorithm for digital control", Journal of Dynamic Systems, Measurement and Control 109, 1987).
+    The filter also looks ahead, so the controller delays the motion by as many ticks.
 """
 
 from __future__ import annotations
@@ -47,33 +48,33 @@ from threadline.machine.controllers import MOST_STATES, Dac
 from threadline.machine.parts import Encoder
 
 DESIGNS = ("lqg", "preview", "zpetc", "cross-coupled")
-"""Names of all designs; ``contouring`` has the last one."""
+"""Names of all designs; the module ``contouring`` makes the last one."""
 PREVIEW = (1, 40)
-"""Fewest and most references that a preview looks ahead."""
-_SLOW = 0.999  # zeros beyond, or behind the imaginary axis of z, are not cancelled: they would ring
-_BOXES = 4  # moving averages
+"""Smallest and largest number of references that a preview looks ahead."""
+_SLOW = 0.999  # a zero with |z| above this, or with a negative real part, would ring if cancelled
+_BOXES = 4  # number of moving averages
 _DRIFT_LEVELS = 0.05
 _NOISE_LEVELS = 1.0
-"""Deviations of the voltage, per tick: of the drift of d, and of unknown changes that do not last,
-at least the rounding of the DAC."""
+"""Standard deviations in DAC levels per tick: of the drift of d, and of unknown changes of the
+voltage that do not last. The latter is at least the rounding of the DAC."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Designed:
-    """A state-space controller as numbers, for one connected piece of a machine.
+    """A designed state-space controller for one connected piece of a machine.
 
     Parameters
     ----------
     axes, sensors, drives
-        Its references, sensors and drives, in the order of the machine file.
+        References, sensors and drives of the controller, in the order of the machine file.
     clock, reference_clock
-        Its clock, and the clock of its references if they come more slowly.
+        Clock of the controller, and clock of its references if they come more slowly.
     A, B, C, D, L
-        Its matrices, as in the machine file.
+        Matrices of the controller, as in the machine file.
     dac
-        Its output converters.
+        Output converter of each drive.
     delay_ticks
-        Ticks by which it delays the motion to look ahead.
+        Number of ticks by which the controller delays the motion in order to look ahead.
     """
 
     axes: tuple[str, ...]
@@ -97,16 +98,16 @@ class Regulator:
     Parameters
     ----------
     F, G, push, H
-        (n, n), (n, m), (n, m), (q, n): the plant with the voltages on their way, per DAC level;
-        ``push`` is the effect of an unknown voltage, which needs no way.
+        (n, n), (n, m), (n, m), (q, n): the plant with the delayed voltages as states, per DAC
+        level; ``push`` is the effect of the unknown voltage, which is not delayed.
     load
-        (m, n) loads in counts.
+        (m, n) from the states to the loads in counts.
     K
-        (m, n) feedback, DAC levels.
+        (m, n) feedback from the states to DAC levels.
     observer
         (n + m, q) gain of the observer on the states and the unknown voltage.
     weight
-        (m,) counts to levels: q of the cost.
+        (m,) q of the cost, DAC levels per count.
     solution
         (n, n) solution of the Riccati equation of the feedback.
     """
@@ -130,12 +131,12 @@ class Regulator:
         return np.asarray(self.F - self.G @ self.K)
 
     def ahead(self, ticks: int) -> list[FloatArray]:
-        """Return the (m, m) gains on the references, the last known one first.
+        """Return the (m, m) gains on the references; the gain on the last known reference is first.
 
         Parameters
         ----------
         ticks
-            Ticks that the references are known ahead; 0 for none.
+            Number of ticks that the references are known ahead; 0 for none.
         """
         m, Fc = len(self.parts), self.closed
         front = np.linalg.solve(np.eye(m) + self.G.T @ self.solution @ self.G, self.G.T)
@@ -156,8 +157,9 @@ def regulators(
     Parameters
     ----------
     gain
-        q of the cost, as a multiple of the present controllers' static gain (0.02 DAC levels per
-        count for a controller that has none, such as an integrating one).
+        q of the cost, as a multiple of the static gain of the present controller. If that
+        controller has no static gain, because it integrates for example, 0.02 DAC levels per count
+        is used.
     others
         Sensors to read besides the encoders of the axes.
 
@@ -263,7 +265,7 @@ def _regulator(
 
 
 def _observer(F: FloatArray, push: FloatArray, H: FloatArray, noise: FloatArray) -> FloatArray:
-    """Return the (n + m, q) gain of the Kalman filter, with the readings of the same tick."""
+    """Return the (n + m, q) gain of the Kalman filter, which uses the readings of the same tick."""
     n, m = push.shape
     whole = block_diag(F, np.eye(m))
     whole[:n, n:] = push
@@ -274,7 +276,7 @@ def _observer(F: FloatArray, push: FloatArray, H: FloatArray, noise: FloatArray)
 
 
 def _variance(machine: Machine, name: str) -> float:
-    """Return the variance of a sensor's readings: its steps are even, its noise is its own."""
+    """Return the variance of a sensor's readings due to quantisation (step^2 / 12) and noise."""
     sensor = machine.sensors[name]
     if isinstance(sensor, Encoder):
         return 1.0 / 12.0
@@ -297,7 +299,7 @@ def lqg(regulator: Regulator) -> Designed:
 
 
 def preview(regulator: Regulator, ticks: int) -> Designed:
-    """Return the regulator for references that are known ``ticks`` ahead; 0: not ahead."""
+    """Return the regulator for references that are known ``ticks`` ahead; 0 for no preview."""
     gains = regulator.ahead(ticks)
     m = len(regulator.parts)
     shift = np.zeros((m * (len(gains) - 1),) * 2)
@@ -309,23 +311,24 @@ def preview(regulator: Regulator, ticks: int) -> Designed:
 
 
 def zero_phase(regulator: Regulator, delay_ticks: int, smoothing_ticks: int = 1) -> Designed:
-    """Return the regulator behind a zero-phase filter of its reference.
+    """Return the regulator with a zero-phase filter of its reference.
 
     Parameters
     ----------
     delay_ticks
-        Ticks by which it delays the motion, at least ``zero_phase_ticks``; the same for all axes of
-        a machine, so that they stay together.
+        Number of ticks by which the controller delays the motion, at least ``zero_phase_ticks``;
+        the same for all axes of a machine, so that they stay synchronous.
     smoothing_ticks
-        Length of the four moving averages of the references before the filter, an odd number; they
-        have no phase either. References are whole counts, whose steps an inverse would blow up.
+        Length of each of four moving averages of the references before the filter, an odd number.
+        They add no phase. They are needed because references are whole counts, and an inverse would
+        amplify the steps.
     """
     poles, good, bad, gain = _reference_to_load(regulator)
     still = regulator.ahead(0)[0][0, 0]
     top = np.poly(poles)
     for zero in bad:
         top = np.convolve(top, [-zero, 1.0])
-    # The moving averages and the reversed zeros of the numerator are ahead by these ticks.
+    # The moving averages and the reversed zeros of the numerator look ahead by these ticks.
     late = delay_ticks + len(bad) + _BOXES * (smoothing_ticks - 1) // 2
     bottom = np.convolve(np.poly(good).real * gain, np.eye(1, late + 1)[0])
     bottom = bottom * np.prod((1.0 - bad) ** 2).real
@@ -337,7 +340,7 @@ def zero_phase(regulator: Regulator, delay_ticks: int, smoothing_ticks: int = 1)
 
 
 def zero_phase_ticks(regulator: Regulator, smoothing_ticks: int = 1) -> int:
-    """Return the fewest ticks that a zero-phase filter needs to look ahead.
+    """Return the smallest number of ticks by which a zero-phase filter must look ahead.
 
     Raises
     ------
@@ -357,7 +360,7 @@ def zero_phase_ticks(regulator: Regulator, smoothing_ticks: int = 1) -> int:
 def _reference_to_load(
     regulator: Regulator,
 ) -> tuple[ComplexArray, ComplexArray, ComplexArray, float]:
-    """Return poles, zeros to cancel, other zeros and gain from reference to load."""
+    """Return poles, zeros to cancel, other zeros, and gain, from reference to load."""
     Fc, G = regulator.closed, regulator.G * regulator.ahead(0)[0]
     n = len(Fc)
     whole = np.block([[Fc, G], [regulator.load, np.zeros((1, 1))]])
@@ -379,7 +382,7 @@ _INFINITE = 1e4
 def _balanced(
     A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Return the same filter with states of like size."""
+    """Return the same filter with states of similar magnitude."""
     size = np.maximum(np.abs(C).max(axis=0), 1e-12) ** 0.5
     return A * size[:, None] / size[None, :], B * size[:, None], C / size, D
 
@@ -391,7 +394,7 @@ def _joined(
 ) -> Designed:
     """Return feedback, observer and a filter of the references as one controller.
 
-    The filter gives the contribution of the references to the outputs.
+    The output of the filter is the contribution of the references to the outputs.
     """
     Af, Bf, Cf, Df = filtered
     m, n, q = len(regulator.parts), len(regulator.F), len(regulator.H)

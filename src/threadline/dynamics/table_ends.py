@@ -1,13 +1,13 @@
-"""Tables of references that begin and end with the motion, without the rests of the inverse.
+"""Tables of references that begin and end with the motion, without lead and tail of the inverse.
 
 The references of an inverse begin before the load moves and continue after it stops, until the
-controller's filter has forgotten its last voltages. A table may be shorter: its references are the
-rest position before its first row and after its last, and the references next to these are chosen
-to minimise the deviation of the load. A linear program over the loop, tick by tick, finds them,
-within the limits of voltage and current. If the DAC loses the tick after a reversal, each voltage
-keeps the sign from the inverse, so that the same ticks are lost; one more tick may be lost behind
-the last row, where the filter discharges. The result is then simulated with every tick that the DAC
-really loses.
+controller's filter has forgotten its last voltages. A table may be shorter. Its references are then
+the rest position before its first row and after its last row, and the references next to an end are
+chosen to minimise the deviation of the load. A linear program over the loop, tick by tick, finds
+these references within the limits of voltage and current. If the DAC loses the tick after a
+reversal, each voltage keeps the sign that it has in the inverse, so that the same ticks are lost;
+one more tick may be lost after the last row, where the filter discharges. The result is then
+simulated with every tick that the DAC really loses.
 """
 
 from __future__ import annotations
@@ -23,10 +23,10 @@ from threadline.dynamics.preview import AxisPreview
 from threadline.machine import Machine
 
 CHOSEN = 24
-"""Number of references next to an end of a table that are optimised."""
+"""Number of optimised references next to an end of a table."""
 EARLIEST = 8
-"""Largest number of ticks that a table may end before its loads are at rest."""
-_MM = 1e3  # lengths in mm, to scale the linear program
+"""Largest number of ticks by which a table may end before its loads are at rest."""
+_MM = 1e3  # the linear program has lengths in mm, for good scaling
 _NOISE_COUNTS = 2.0
 
 
@@ -41,7 +41,7 @@ class TableEnd:
     off_si
         Largest deviation of the load from its motion, m or rad.
     volts, current_a
-        Largest magnitudes at these ticks.
+        Largest magnitudes of voltage and current at these ticks.
     """
 
     more_si: FloatArray
@@ -58,8 +58,8 @@ class AxisEnds:
     preview
         Preview of the axis. Its controller takes a reference at every tick.
     reserve
-        Shares of voltage and of current reserved for the control loop; if the motion itself needs
-        more than the rest, that much is allowed.
+        Shares of voltage and of current that are reserved for the control loop. If the motion
+        itself needs more than the remainder, its need is the limit.
     """
 
     def __init__(
@@ -83,7 +83,7 @@ class AxisEnds:
     def begun(self, output: InverseOutput, count: int, rest_si: float) -> TableEnd | None:
         """Return the first references of a table that has ``rest_si`` before its first row.
 
-        None where voltage or current have no room for it.
+        The result is None if the limits of voltage or current do not allow such a table.
 
         Parameters
         ----------
@@ -100,7 +100,7 @@ class AxisEnds:
     def ended(self, output: InverseOutput, count: int, rest_si: float) -> TableEnd | None:
         """Return the last references of a table that has ``rest_si`` from a tick on.
 
-        None where voltage or current have no room for it.
+        The result is None if the limits of voltage or current do not allow such a table.
 
         Parameters
         ----------
@@ -130,7 +130,7 @@ class AxisEnds:
         held: int | None,
         lost: int | None,
     ) -> TableEnd | None:
-        """Return the best end if the DAC loses the tick ``lost`` in addition to the others."""
+        """Return the best end if the DAC loses the tick ``lost`` besides those of the inverse."""
         acts = acting(output.levels) if self._skips else output.levels
         gone = acts != output.levels
         if lost is not None:
@@ -205,7 +205,7 @@ class AxisEnds:
     def _followed(
         self, added: FloatArray, levels: FloatArray, acts: FloatArray, current: FloatArray
     ) -> TableEnd:
-        """Return the result of changed references, with every tick that the DAC loses."""
+        """Return the simulated result of changed references, with every tick that the DAC loses."""
         before = 0.0
 
         def effect(tick: int, change: FloatArray) -> FloatArray:

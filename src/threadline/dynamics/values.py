@@ -1,4 +1,4 @@
-"""Numbers of a machine by their paths, with replacements for several variants."""
+"""Numbers of a machine by their dotted names, with replacements for several variants."""
 
 from __future__ import annotations
 
@@ -29,14 +29,14 @@ class Values(Locked):
     machine
         Machine with the structure and all other numbers.
     replaced
-        Path of a number, such as ``"bodies.x.inertia"``, to its (count,) SI values.
+        Dotted name of a number, such as ``"bodies.x.inertia"`` -> its (count,) SI values.
     count
         Number of variants; 1 without replacements.
 
     Raises
     ------
     OptionError
-        If a path is not a number of this machine, or the lengths differ.
+        If a name is not the name of a number of this machine, or the lengths differ.
     """
 
     machine: Machine
@@ -45,7 +45,7 @@ class Values(Locked):
 
     @classmethod
     def of(cls, machine: Machine, replaced: Mapping[str, FloatArray] | None = None) -> Values:
-        """Return ``machine`` with numbers ``replaced``, after checking their paths and lengths."""
+        """Return ``machine`` with numbers ``replaced``, after checking their names and lengths."""
         given = {k: read_only(np.atleast_1d(v), k, ndim=1) for k, v in (replaced or {}).items()}
         known = number_paths(machine) if given else ()
         for path in given:
@@ -68,9 +68,9 @@ class Values(Locked):
     def by_delay(self) -> list[tuple[Values, IntArray]]:
         """Return the variants grouped by dead time, each group with its (k,) indices.
 
-        The variants of a simulated batch must have equal dead times, because they determine the
-        instants at which a simulation stops. Each group has its dead times in ``machine`` instead
-        of ``replaced``.
+        The variants of a simulated batch must have equal dead times, because dead times determine
+        the instants at which a simulation stops. In each group the dead times are numbers of
+        ``machine`` and not of ``replaced``.
         """
         late = self._late()
         if not late:

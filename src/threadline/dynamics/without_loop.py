@@ -53,7 +53,7 @@ class CylinderAnalysis:
     speed_m_s
         Speed of the piston at level 1.
     growing
-        Number of unstable poles of the sliding cylinder.
+        Number of unstable poles while the piston slides.
     """
 
     axis: str
@@ -77,7 +77,7 @@ class CylinderAnalysis:
         )
 
     def as_json(self) -> dict[str, Any]:
-        """Return the analysis as JSON content; None stands for what only a loop has."""
+        """Return the analysis as JSON content; figures that only a loop has are None."""
         return {
             "stable": self.stable,
             "bandwidth_hz": None,
@@ -157,7 +157,7 @@ class PositionDriveAnalysis:
 
     @property
     def stable(self) -> bool:
-        """True: without a control loop nothing can be unstable."""
+        """True: without a control loop the axis cannot be unstable."""
         return True
 
     def verdict(self) -> str:
@@ -175,7 +175,7 @@ class PositionDriveAnalysis:
         )
 
     def as_json(self) -> dict[str, Any]:
-        """Return the analysis as JSON content; None stands for what only a loop has."""
+        """Return the analysis as JSON content; figures that only a loop has are None."""
         return {
             "stable": True,
             "bandwidth_hz": None,

@@ -1,9 +1,9 @@
 """The worst margins of a loop over the tolerances of its machine file.
 
-A number moves the logarithm of the plant's response nearly by itself: the changes of several
-numbers are added, and the worst corner of their tolerances is climbed to, one number after the
-other. The reported margins are computed exactly on the machine of that corner. It is the worst
-that was found, not a proof that there is no worse one.
+The numbers of a machine change the logarithm of the plant's response nearly independently. The
+changes of several numbers are therefore added, and a search moves one number after the other to the
+end of its tolerance that makes the margin smaller. The reported margins are computed exactly on the
+machine at the corner that the search finds. A worse machine may exist.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from threadline.dynamics.margins import unstable_eigenvalues
 from threadline.machine import Machine
 from threadline.machine.variants import uncertain, variant
 
-_LEAST_EFFECT = 1e-6  # on the logarithm of the plant; less is rounding
+_LEAST_EFFECT = 1e-6  # a smaller change of the logarithm of the plant's response is rounding
 _ROUNDS = 8
 
 
@@ -38,12 +38,14 @@ class WorstMargins:
     Parameters
     ----------
     phase_margin_deg, gain_margin
-        Each on the machine where it is smallest; negative or below 1 where the loop is unstable.
-        None where no gain or no phase crossover exists.
+        The smallest phase margin and the smallest gain margin that were found, each on its own
+        machine. An unstable loop has a negative phase margin, or a gain margin below 1. None if
+        there is no gain crossover, or no phase crossover.
     stable
         Whether the loop is stable on both machines.
     at
-        The numbers and ends (``"+"``, ``"-"``) of the machine with the smallest phase margin.
+        Numbers of the machine with the smallest phase margin, each with its end (``"+"``, ``"-"``);
+        all other numbers are nominal.
     """
 
     phase_margin_deg: float | None
@@ -54,18 +56,19 @@ class WorstMargins:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Spread:
-    """An axis' plant over the tolerances of its machine file.
+    """The plant of an axis over the tolerances of the machine file.
 
     Parameters
     ----------
     machine, axis
         The machine and the axis.
     plant
-        The plant of the file.
+        The plant with the numbers of the file.
     index
-        (n,) places in ``uncertain(machine)`` of the numbers that act on it.
+        (n,) indices in ``uncertain(machine)`` of the numbers that change the plant.
     lower, upper
-        (n, k) change of the logarithm of the response at the ends of each number.
+        (n, k) change of the logarithm of the response with each number at its lower, and at its
+        upper end.
     """
 
     machine: Machine
@@ -76,7 +79,7 @@ class Spread:
     upper: ComplexArray
 
     def worst(self, kind: ControllerKind, gains: Mapping[str, float]) -> WorstMargins:
-        """Return the worst margins of the axis with a controller."""
+        """Return the worst margins of the axis with a controller of the given kind and gains."""
         L = self.plant.response * self.plant.controller(kind, gains)
         found: list[tuple[GridMargins, bool, FloatArray]] = []
         for measure in (_phase, _gain):
@@ -97,7 +100,7 @@ class Spread:
         )
 
     def _climbed(self, L: ComplexArray, measure: Callable[[GridMargins], FloatArray]) -> FloatArray:
-        """Return (n,) signs of a corner at which no single number makes a measure smaller."""
+        """Return (n,) ends (-1, 0, 1) of a machine that no change of one number makes worse."""
         count = len(self.index)
         signs = np.zeros(count)
         omega = self.plant.omega_rad_s
@@ -133,7 +136,7 @@ class Spread:
 def spread_of(machine: Machine, axis: str) -> Spread:
     """Return the plant of an axis over the tolerances of its machine file.
 
-    The controller's own numbers do not count: it is replaced.
+    The numbers of the present controller have no effect, because it will be replaced.
     """
     loop = axis_loop(machine, axis)
     plant = open_plant(loop)

@@ -1,8 +1,8 @@
-"""The face: every question of the command line as a function, and the answers.
+"""The Python interface: one function for each question of the command line, and their answers.
 
-``import threadline as tl`` has all of it: ``tl.prove("x.prg", "lathe-winder").passed``. Options are
-the words of the command line, with the same defaults: ``option_table`` declares them,
-``__init__.pyi`` has their types, and ``docs/options.md`` lists them.
+``import threadline as tl`` provides all of them: ``tl.prove("x.prg", "lathe-winder").passed``. The
+options have the names and defaults of the command line: ``option_table`` declares them,
+``__init__.pyi`` declares their types, and ``docs/options.md`` lists them.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ def load_machine(machine: PathLike | Machine, par: PathLike | None = None) -> Ma
     Raises
     ------
     MachineError
-        If there is none of that name, or the file does not describe one.
+        If there is no machine of that name, or the file does not describe a machine.
     """
     return chosen_machine(machine, par)
 
@@ -82,7 +82,8 @@ def prove(job: PathLike, machine: PathLike | Machine, **words: Word) -> Proved:
     machine
         As ``load_machine`` takes it.
     **words
-        The options of ``threadline prove``; ``spec`` may be a specification, ``actual`` a machine.
+        The options of ``threadline prove``; ``spec`` may also be a specification object, and
+        ``actual`` a machine object.
 
     Raises
     ------
@@ -111,8 +112,8 @@ def fastest(job: PathLike, machine: PathLike | Machine, **words: Word) -> Fastes
     job, machine
         As ``prove`` takes them.
     **words
-        The options of ``threadline fastest``. ``robust`` asks for one plan that holds on every
-        machine at the ends of that share of the tolerances of loads and springs.
+        The options of ``threadline fastest``. ``robust="100 %"`` asks for one plan that passes on
+        every machine whose loads and springs are at the ends of this share of their tolerances.
 
     Raises
     ------
@@ -167,11 +168,12 @@ def compare(
     job, machine
         As ``prove`` takes them.
     interpolations, feeds
-        Each interpolation is proved at each feed; without feeds, at the job's own.
+        Each interpolation is proved at each feed; without feeds, at the programmed feeds of the
+        job.
     shapers
-        Each pair of them is proved with each of these shapers; ``"none"`` shapes nothing.
+        Each pair of interpolation and feed is proved with each shaper; ``"none"``: no shaper.
     with_fastest
-        Also search the fastest feed of each interpolation.
+        Whether to search the fastest feed of each interpolation as well.
     **words
         The other options of ``threadline compare``.
 
@@ -206,17 +208,17 @@ def judge(
     machine: str | None = None,
     **words: Word,
 ) -> Answer:
-    """Judge what a machine did, from one recording or several of the same job.
+    """Judge the motion of a machine, from one or several recordings of the same job.
 
     Parameters
     ----------
     recordings
-        Files of any kind in ``docs/files.md``.
+        Recording files, in any format of ``docs/files.md``.
     job, machine
-        The job and the machine. What is left out is read from the recording.
+        The job and the machine; None: the names in the recording.
     **words
-        How the plan was made, as on the command line. What is left out is read from the
-        recording; ``spec`` is the machine's own then.
+        The options with which the plan was made, as on the command line. An option that is left
+        out is read from the recording; without ``spec`` the specification of the machine applies.
 
     Raises
     ------
@@ -256,9 +258,10 @@ def compile(
         machine ``st``, ``openplc``, ``plcopen`` or ``scl``; for an embroidery machine ``steps``,
         ``t15``, ``dst`` or ``u01``.
     out
-        The file.
+        The file to write.
     slower
-        Whether to write a program that takes longer on its firmware than the job as it stands.
+        Whether to write a program even if the firmware needs more time for it than for the
+        original job.
     **words
         The options of ``threadline compile``; ``interpolation`` is ``"auto"`` unless given, on
         every machine.
@@ -288,19 +291,21 @@ def equal(
     slower: bool = False,
     **words: Word,
 ) -> Equality:
-    """Say whether the files of controllers are the plan of a job.
+    """Check that the files for controllers give the planned motion of a job.
 
-    Each file is read by something that did not write it, and compared with the plan in place and
-    time.
+    Each file is read by code that did not write it, and its positions and times are compared with
+    the plan.
 
     Parameters
     ----------
     job, machine
         As ``prove`` takes them.
     targets
-        Targets as ``compile`` takes them; without targets and files, all of the kind of machine.
+        Targets as ``compile`` takes them; without targets and files, all targets of this kind of
+        machine.
     files
-        ``"TARGET=FILE"`` each: a file on disk in place of one that is written for this.
+        Existing files to check, each as ``"TARGET=FILE"``. For any other target a temporary file is
+        written and checked.
     slower
         As for ``compile``.
     **words
@@ -309,8 +314,8 @@ def equal(
     Raises
     ------
     InputError
-        As on the command line: a file is of another job, machine or format, or no target could
-        be compared.
+        As on the command line; for example if a file belongs to another job or machine, has another
+        format, or no target could be compared.
     """
     from threadline.proof.pipeline import open_job, plan_job
     from threadline.readback.equal import asked_of, equal_targets
@@ -335,7 +340,7 @@ def learn(
     runs: Sequence[PathLike] = (),
     **words: Word,
 ) -> LearnedJob | LearnedRuns:
-    """Repeat a job and correct its references by the error of every run.
+    """Repeat a job and correct its references after each run by the error of this run.
 
     Parameters
     ----------
@@ -350,9 +355,11 @@ def learn(
     measured
         Where the error is measured: at the ``"head"`` or at the encoder of the ``"motor"``.
     runs
-        Recordings of runs to learn from instead, the first one first; the answer is the next table.
+        Recordings of real runs, in the order of the runs, to learn from instead of simulated runs;
+        the result then holds the table for the next run.
     **words
-        The options of ``threadline learn``. ``table=`` of ``prove`` plays what ``.write`` wrote.
+        The options of ``threadline learn``. ``prove(..., table=FILE)`` plays a table that
+        ``.write`` of the result has written.
 
     Raises
     ------

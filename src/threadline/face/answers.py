@@ -1,4 +1,4 @@
-"""Answers of the face: verdicts, proofs, and the fastest way to do a job in specification."""
+"""Answers of the Python interface: verdicts, proofs, and the result of a search for speed."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class Answer:
     Parameters
     ----------
     of
-        A proof; of recordings, the plan and the specification that they were judged by.
+        A proof; or recordings with the plan and the specification by which they were judged.
     """
 
     of: Proof | Judged
@@ -55,17 +55,17 @@ class Answer:
 
     @property
     def passed(self) -> bool:
-        """Whether nothing failed and all that is required was measured."""
+        """Whether no criterion failed and every required criterion was measured."""
         return self.of.verdict.passed
 
     @checked
     def result(self, criterion: str, axis: str = "") -> Result:
-        """Return the result of a criterion, of the worst axis where none is named.
+        """Return the result of a criterion, for the worst axis if none is named.
 
         Raises
         ------
         KeyError
-            If it was not judged.
+            If the criterion was not judged.
         """
         return self.of.verdict.result(criterion, axis)
 
@@ -94,7 +94,7 @@ class Answer:
         return f"{plan.job.name} on {plan.machine.name}, {plan.duration_s:.4g} s"
 
     def _summary(self) -> tuple[list[str], list[list[str]], str]:
-        """Return header and rows of the most urgent criteria, and a line about the others."""
+        """Return the table header, the rows of the most urgent criteria, and a closing line."""
         header, rows = verdict_rows(self.of.verdict)
         rows.sort(key=lambda row: _URGENCY.get(row[4], len(_URGENCY)))
         others = len(rows) - MOST_ROWS
@@ -117,9 +117,9 @@ class Proved(Answer):
     def columns(self, run: int = 1) -> dict[str, FloatArray]:
         """Return the channels of a judged run as columns, for plots and data frames.
 
-        ``time [s]`` is the first one; all are of equal length. The others have the name and the
-        unit of their channel, such as ``X.load [m]``. A channel with fewer samples holds each value
-        until its next one, and is NaN before its first.
+        The first column is ``time [s]``. The other columns are named after their channel and its
+        unit, such as ``X.load [m]``. All columns have the same length: a channel with fewer samples
+        holds each sample until its next one, and is NaN before its first sample.
 
         Raises
         ------
@@ -148,7 +148,7 @@ class Proved(Answer):
 
     @checked
     def write(self, file: PathLike, sign: PathLike | None = None) -> Written:
-        """Write the proof as a file, see ``docs/files.md``; ``sign`` is the file of a key."""
+        """Write the proof as a file (see ``docs/files.md``), signed with the key in ``sign``."""
         from threadline.proof.proof_file import write_proof
         from threadline.proof.proof_hash import read_key
 
@@ -156,7 +156,7 @@ class Proved(Answer):
 
     @checked
     def record(self, file: PathLike) -> Written:
-        """Write the recording; the ending of the file says how."""
+        """Write the recording; the extension of the file name selects the format."""
         from threadline.files.formats import write_recording
 
         return write_recording(self.of.recording, file)
@@ -169,23 +169,25 @@ class FastestResult:
     Parameters
     ----------
     best
-        The highest feed (m/s of the fastest axis, or a share of the program's feeds where these
+        The highest feed (m/s of the fastest axis, or a factor on the program's feeds if these
         differ) or needle speed (stitch/s) in spec, the shortest cycle of a move list (s), or the
-        shortest duration of an embroidery design (s); None where nothing is in spec.
+        shortest duration of an embroidery design (s); None if nothing is in spec.
     unit
-        ``"m/s"``, ``"stitch/s"`` or ``"s"``; empty for a share.
+        ``"m/s"``, ``"stitch/s"`` or ``"s"``; empty for a factor.
     limited_by
-        The criterion that forbids more.
+        The criterion that a faster plan would fail.
     of
         The result of the search in ``threadline.search``, with every try; its type depends on the
         job (``docs/api.md``).
     best_options
-        The options of planning with which ``prove`` plans the best: ``tl.prove(job, machine,
-        **best_options)``. None where nothing is in spec, or where only a move list can say it.
+        The planning options of the best plan: ``tl.prove(job, machine, **best_options)`` proves it.
+        None if nothing is in spec, or if only a move list, and no options, can describe the plan.
     certainty
-        Cost of passing on the machines of ``ends``, ``band`` or ``robust`` as well; None without.
+        Loss of speed that is due to the options ``ends``, ``band`` or ``robust``; None without one
+        of them.
     mismatch
-        The fastest on machines at the ends of the tolerances, with ``mismatch``.
+        The fastest plan for each machine at the ends of the tolerances; empty without the option
+        ``mismatch``.
     """
 
     best: float | None
@@ -209,7 +211,7 @@ class FastestResult:
         Raises
         ------
         OptionError
-            If nothing was in spec, or where only a move list can say the best.
+            If nothing was in spec, or if only a move list can describe the best plan.
         """
         if self._asked is None or self.best_options is None:
             raise OptionError(

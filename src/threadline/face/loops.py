@@ -36,7 +36,7 @@ def analyse(machine: PathLike | Machine, axis: str | None = None) -> dict[str, A
     machine
         As ``load_machine`` takes it.
     axis
-        Only this one.
+        The only axis or cylinder to analyse; None: all.
 
     Raises
     ------
@@ -71,7 +71,7 @@ def control(
     direction: str | None = None,
     coupling: str | None = None,
 ) -> ControlDesign:
-    """Design a state-space controller, and write the machine with it.
+    """Design a state-space controller, and write a machine file with this controller.
 
     Parameters
     ----------
@@ -82,14 +82,15 @@ def control(
     out
         Machine file to write, based on ``machine``.
     gain, sensors
-        Not of ``"cross-coupled"``: gain at rest in gains of the present controllers, and sensors to
-        read besides the encoders.
+        Static gain as a multiple of the static gain of the present controllers, and sensors to read
+        besides the encoders; not for ``"cross-coupled"``.
     ahead
-        Of ``"preview"``: references to look ahead.
+        Number of future references that ``"preview"`` knows.
     smoothing
-        Of ``"zpetc"``: references in each of its averages, an odd number.
+        Number of references in each moving average of ``"zpetc"``, an odd number.
     axes, direction, coupling
-        Of ``"cross-coupled"``: the two axes, ``"45 deg"``, and ``"50 %"``.
+        For ``"cross-coupled"``: the two axes; the direction of the line, such as ``"45 deg"``; the
+        additional weight of the error across the line, such as ``"50 %"``.
 
     Raises
     ------
@@ -124,7 +125,9 @@ def tune(
     controller: str | None = None,
     rule: str = "margin",
 ) -> Tuning:
-    """Tune the loops of a machine: controllers of five kinds by four rules; nothing moves.
+    """Design controllers of five kinds for the loops of a machine, by four rules.
+
+    Only the machine file is used; the machine does not move.
 
     Parameters
     ----------
@@ -133,11 +136,12 @@ def tune(
     out
         Machine file to write, with the controllers that ``controller`` and ``rule`` name.
     axis
-        Only this axis.
+        The only axis to tune; None: all.
     margin
-        Phase margin of the rule ``"margin"``.
+        Phase margin for the rule ``"margin"``.
     crossover
-        Crossover of that rule, ``"13.5 Hz"``; None for the largest gain at low frequencies.
+        Crossover frequency for the rule ``"margin"``, such as ``"13.5 Hz"``; None for the crossover
+        with the largest gain at low frequencies.
     jobs
         Jobs to simulate with each controller.
     controller

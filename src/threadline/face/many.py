@@ -36,10 +36,10 @@ def yields(
     job, machine
         As ``prove`` takes them.
     variants, seed
-        How many machines are drawn, and the seed of their sequence.
+        Number of machines to draw, and the seed of their random sequence.
     **words
-        The options of ``threadline yield``. ``cluster`` names the scheduler whose workers judge
-        them.
+        The options of ``threadline yield``. ``cluster`` names the scheduler whose workers judge the
+        machines.
 
     Raises
     ------
@@ -82,14 +82,14 @@ def design(
     job, machine
         As ``prove`` takes them.
     corners
-        Whether the design must hold at every corner of the tolerances of ``[design]``, too.
+        Whether the design must also pass at every corner of the tolerances in ``[design]``.
     plot
-        Two parameters for the region in specification, ``"belt,load"``.
+        The two parameters over which the region in specification is plotted, ``"belt,load"``.
     front
-        Number of machines that are drawn of each candidate for the front of cost against yield; 0
-        for no front.
+        Number of machines to draw for each candidate on the Pareto front of cost and yield; 0 for
+        no front.
     searches
-        Number of searches, each from other random numbers; the design is the best of all.
+        Number of searches with different random numbers; the result is the best of their designs.
     **words
         The options of ``threadline design``. ``cluster`` names the scheduler whose workers judge
         the candidates.

@@ -1,4 +1,4 @@
-"""A run of a job over a link, asked for in Python."""
+"""Run a job over a link to a machine, from Python."""
 
 from __future__ import annotations
 
@@ -33,9 +33,9 @@ class Ran(Answer):
     folder
         Folder of the run in the store.
     ended
-        ``"completed"`` or ``"stopped"``; a fault is raised.
+        ``"completed"`` or ``"stopped"``; a fault raises an error instead.
     notes
-        The notes of the command line beside the verdict: on the link, on holds, on the store.
+        Notes about the link, holds and the store, as the command line prints them.
     """
 
     of: Judged
@@ -45,7 +45,7 @@ class Ran(Answer):
 
     @property
     def recording(self) -> Recording:
-        """The recording of the machine."""
+        """The recording of the machine during the run."""
         return self.of.recordings[0]
 
 
@@ -69,7 +69,7 @@ def run(
 
     The first Ctrl-C brakes along the path to a standstill, the second raises ``KeyboardInterrupt``
     and leaves the machine to its own braking. Neither is an emergency stop, which must be a circuit
-    of the machine. A hold by the machine or its controller that nobody resumes stops the run after
+    of the machine. A hold by the machine or its controller stops the run if it lasts longer than
     10 s.
 
     Parameters
@@ -81,27 +81,27 @@ def run(
         ``"grbl:HOST:PORT"`` and ``"grbl:/dev/ttyUSB0"`` controllers with grbl, ``"hal:loopback"``
         and ``"hal:plant"`` LinuxCNC's HAL without a machine.
     speed
-        Of ``"sim"``: simulated seconds a second; 1 is real time, 0 as fast as it can.
+        Simulated seconds per second of real time, for ``"sim"``; 0 is as fast as possible.
     store
         Folder of runs; the first run makes it.
     proof, key
-        File of a proof to run by, which must match job, machine, specification and options, and the
-        file of the key that signed it. None: the job is proved first.
+        Proof file to run by, which must match job, machine, specification and options; and the file
+        of the key that signed it. Without a proof file the job is proved first.
     override
-        Why the job runs although out of specification; kept with the run.
+        Reason for running a job that is out of specification; it is stored with the run.
     approach
-        With grbl: move the axes to the start of the program, one after the other.
+        Whether to move the axes to the start of the program first, one after the other; for grbl.
     pass_stops
-        Whether stops of the program (M0) are passed; nobody could answer them here.
+        Whether to pass program stops (M0): this function cannot ask an operator to resume.
     **words
-        The options of ``threadline run`` that plan and judge.
+        The planning and judging options of ``threadline run``.
 
     Raises
     ------
     InputError
-        As on the command line; nothing has moved.
+        As on the command line; the machine has not moved then.
     LinkFaultError
-        If the machine or the link failed; the recording until then is in the folder of the run.
+        If the machine or the link failed; the folder of the run holds the recording up to then.
     """
     from threadline.base.reading import inputs_read
     from threadline.files import RunEnd

@@ -17,8 +17,8 @@ from threadline.base.arrays import FloatArray
 class Clock:
     """A clock with an exact rational period.
 
-    Instants are whole numbers of periods. Each is converted to seconds by one rounded division, so
-    that the millionth tick is as exact as the first.
+    An instant is a whole number of periods. One rounded division converts it to seconds, so that
+    the millionth tick is as exact as the first.
 
     Parameters
     ----------
@@ -50,7 +50,7 @@ class Clock:
 
 
 def common_period_s(periods_s: list[Fraction]) -> Fraction:
-    """Return the longest period such that all of ``periods_s`` are whole multiples of it.
+    """Return the longest period of which all ``periods_s`` are whole multiples.
 
     >>> common_period_s([Fraction(136, 10**6), Fraction(1, 1000)])
     Fraction(1, 125000)
@@ -66,9 +66,9 @@ EventKind = Literal[
     "output", "wait", "stop", "dwell", "tool", "end",
     "hold", "resume", "late", "completed", "stopped", "fault", "plan", "override",
 ]  # fmt: skip
-"""Commands contain the kinds of the first line; recordings contain all kinds.
+"""Kinds of events. Commands contain only the kinds of the first line; recordings contain all kinds.
 
-NPZ files contain the place of a kind in this list: a new kind goes to its end.
+NPZ files store the index of a kind in this list, so a new kind must be appended.
 """
 
 
@@ -81,19 +81,21 @@ class Event:
     tick
         Tick of the event, counted from the start of the commands.
     kind
-        ``output`` sets ``name`` to ``value``; ``wait`` waits for input ``name`` to be ``value``;
-        ``stop`` waits for the operator; ``dwell`` marks a pause; ``tool`` names a tool action;
-        ``end`` is the end of the job. In recordings ``hold`` and ``resume`` stop and continue the
-        rows, ``late`` means that rows were missing for ``value`` ticks, ``override`` gives the
-        speed overrides in ``name``, and in ``value`` the share of the feed if the run itself was
-        overridden, 0 if the controller was; and ``completed``, ``stopped`` or ``fault`` ends the
-        run, with the reason in ``name``. ``plan`` maps this tick to the plan time ``value`` in s.
-        After it the plan time runs with the clock, or at the rate in ``name``; it stands still if
-        the preceding ``plan`` event has the same ``value``.
+        ``output`` sets the output ``name`` to ``value``. ``wait`` waits until the input ``name`` is
+        ``value``. ``stop`` waits for the operator. ``dwell`` marks a pause. ``tool`` names a tool
+        action. ``end`` is the end of the job.
+
+        In recordings, ``hold`` and ``resume`` stop and continue the playing of rows. ``late`` means
+        that rows were missing for ``value`` ticks. ``override`` has the speed overrides in
+        ``name``; ``value`` is the share of the feed if the run was overridden, and 0 if the
+        controller was overridden. ``completed``, ``stopped`` or ``fault`` ends the run, with the
+        reason in ``name``. ``plan`` maps this tick to the plan time ``value`` in s. After it the
+        plan time runs with the clock, or at the rate in ``name``; it stands still if the preceding
+        ``plan`` event has the same ``value``.
     operation
         Index of the job operation of the event; -1 for none.
     name, value
-        Arguments of the event; their meaning depends on its kind.
+        Arguments of the event; their meaning depends on ``kind``.
     """
 
     tick: int

@@ -1,4 +1,4 @@
-"""Commands for the machine's controller: integer tables, never floats."""
+"""Commands for the machine's controller: tables of whole numbers."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class TickBlock(Locked):
     operation
         (n,) int: index of the operation that each row belongs to.
     events
-        Events whose tick lies in this block, in order.
+        Events whose ticks lie in this block, in order.
     """
 
     first_tick: int
@@ -55,7 +55,7 @@ class TickTable(Locked):
     Parameters
     ----------
     clock
-        The clock at which rows are consumed.
+        Clock of the rows: the controller plays one row per tick.
     axes
         Names, in the order of the columns.
     counts_per_unit
@@ -65,9 +65,10 @@ class TickTable(Locked):
     blocks
         Re-iterable blocks of rows, consecutive from tick 0.
     job_sha256, machine_sha256
-        Hashes of the job and machine of the table.
+        Hashes of the job and the machine for which the table was made.
     began_sha256
-        Hash of the rows of the planned table from which this one was learned; empty for a plan.
+        For a learned table: hash of the rows of the planned table from which it was learned. Empty
+        for a planned table.
     """
 
     clock: Clock
@@ -124,23 +125,25 @@ class TickTable(Locked):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Creep:
-    """Short openings of a valve while a wait for an end switch lasts: the piston creeps to it.
+    """Short openings of a valve during a wait, by which a piston creeps to its end switch.
 
-    The schedule stands still meanwhile. An opening is finished before the switch is read again, and
-    the wait ends when the switch is there and the last opening is over for ``rest`` scans.
+    The schedule stands still during the wait. An opening is finished before the switch is read
+    again. The wait ends when the switch is on and ``rest`` scans have passed since the last
+    opening.
 
     Parameters
     ----------
     tick
-        Tick of the wait; no two waits have the same.
+        Tick of the wait; each wait has a tick of its own.
     first, every
-        Scans of waiting before the first opening, and from opening to opening.
+        Number of scans of waiting before the first opening, and number from one opening to the
+        next.
     opens
-        Scans of an opening.
+        Length of an opening, in scans.
     rest
-        Scans from the end of the last opening to the rest of the piston.
+        Number of scans from the end of the last opening until the piston is at rest.
     most
-        Scans of waiting after which the missing switch is a fault.
+        Number of scans of waiting after which a switch that is still off is a fault.
     levels
         State of every output during an opening.
     """
@@ -155,14 +158,14 @@ class Creep:
 
     @property
     def row(self) -> tuple[int, ...]:
-        """All numbers, in their order."""
+        """All numbers, in the order of the fields."""
         return (
             self.tick, self.first, self.every, self.opens, self.rest, self.most, *self.levels,
         )  # fmt: skip
 
     @classmethod
     def of_row(cls, row: Sequence[int]) -> Creep:
-        """Return the creep of a ``row``; raises ValueError if its numbers cannot be."""
+        """Return the creep of a ``row``; raise ValueError if its numbers are not possible."""
         tick, first, every, opens, rest, most, *levels = (int(number) for number in row)
         if min(tick, first, rest) < 0 or not 0 < opens < every or not set(levels) <= {0, 1}:
             raise ValueError(f"no creep has the numbers {str(list(row))[:80]}")
@@ -188,19 +191,19 @@ class SwitchSchedule(Locked):
     outputs
         Names of the outputs, in the order of the columns.
     ticks
-        (n,) int, increasing: scans at which the row's levels take effect.
+        (n,) int, increasing: scan at which the levels of a row take effect.
     levels
-        (n, outputs) int: the state of every output from that scan on.
+        (n, outputs) int: state of every output from this scan on.
     operation
         (n,) int: index of the operation that each row belongs to.
     duration_ticks
-        Length of the whole schedule.
+        Length of the whole schedule, in scans.
     job_sha256, machine_sha256
-        Hashes of the job and machine of the schedule.
+        Hashes of the job and the machine for which the schedule was made.
     events
         Waits and stops, in order of their ticks.
     creeps
-        How cylinders creep to their end switches during waits, in order of their ticks.
+        The creeps to end switches during waits, in order of their ticks.
     """
 
     clock: Clock
@@ -236,7 +239,7 @@ class SwitchSchedule(Locked):
             raise ValueError(f"a creep does not have {len(self.outputs)} levels")
 
     def creep_at(self, tick: int) -> Creep | None:
-        """Return the creep of the wait at ``tick``; None for a wait without one."""
+        """Return the creep of the wait at ``tick``; None for a wait without a creep."""
         return next((creep for creep in self.creeps if creep.tick == tick), None)
 
     def rows_sha256(self) -> str:
@@ -274,18 +277,18 @@ def _of_kind(commands: Commands, kind: type[KindT], lacking: str, remedy: str) -
 
 
 def tick_table(commands: Commands) -> TickTable:
-    """Return ``commands``, a table of ticks; raise an ``OptionError`` for another kind."""
+    """Return ``commands`` as a tick table; raise an ``OptionError`` for another kind."""
     lacking = "a table of counts, which an on/off machine does not have"
     return _of_kind(commands, TickTable, lacking, "Choose a machine with axes.")
 
 
 def switch_schedule(commands: Commands) -> SwitchSchedule:
-    """Return ``commands``, a schedule of switchings; raise an ``OptionError`` for another kind."""
+    """Return ``commands`` as a switch schedule; raise an ``OptionError`` for another kind."""
     lacking = "a schedule of switchings, which a machine with axes does not have"
     return _of_kind(commands, SwitchSchedule, lacking, "Choose a machine with cylinders.")
 
 
 def played(commands: Commands) -> StepPlay:
-    """Return ``commands``, step tables by stitch; raise an ``OptionError`` for another kind."""
+    """Return ``commands`` as step tables by stitch; raise an ``OptionError`` for another kind."""
     lacking = "step tables, which only a machine with a main shaft plays"
     return _of_kind(commands, StepPlay, lacking, "Choose an embroidery machine.")

@@ -1,4 +1,4 @@
-"""Recordings: named channels, each with its kind, and the outcome of the run."""
+"""Recordings: named channels of a stated kind, and the outcome of the run."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from threadline.files.stream import Stream
 
 
 class RunEnd(StrEnum):
-    """How a run ended; the last event of a recording has one of these kinds."""
+    """How a run ended: the kind of the last event of its recording."""
 
     COMPLETED = "completed"  # every row was played
     STOPPED = "stopped"  # ended early by the operator, or by a stop without an answer
-    FAULT = "fault"  # the machine or the link to it failed
+    FAULT = "fault"  # the machine, or the link to it, failed
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -29,20 +29,20 @@ class Outcome:
     Parameters
     ----------
     ended
-        How the run ended; None without such an event, as in a trace of another controller.
+        How the run ended; None if no event says it, as in a trace of another controller.
     text
-        Reason of a stop or a fault; empty for a completed run.
+        Reason for a stop or a fault; empty for a completed run.
     tick
-        Tick of the end on the clock of the recording; None if ``ended`` is None.
+        Tick at which the run ended, on the clock of the recording; None if ``ended`` is None.
     operation
         Index of the operation in progress at the end.
     late_ticks
         Number of ticks at which a row was due but missing.
     halted_ticks
-        Total ticks from each stop, wait or hold to its resumption; a halt at the end of the run is
-        not counted.
+        Total number of ticks from each stop, wait or hold to its resumption, without a halt at the
+        end of the run.
     halted_since
-        Tick at which a halt without resumption began; None if there is none.
+        Tick at which a halt that was not resumed began; None if there is none.
 
     Examples
     --------
@@ -67,7 +67,7 @@ class Outcome:
         return self.ended in {RunEnd.STOPPED, RunEnd.FAULT}
 
     def after(self, events: Iterable[Event]) -> Outcome:
-        """Return the outcome updated with further events, given in order."""
+        """Return the outcome after further events, which are given in order."""
         known = self
         for event in events:
             if event.kind in tuple(RunEnd):
@@ -89,7 +89,7 @@ class Outcome:
 
 
 def end_with_reason(ended: str, why: str) -> str:
-    """Return how a run ended and why, without repeating a word.
+    """Return as text how a run ended and why, without repeating a word.
 
     >>> end_with_reason("stopped", "stopped by the operator")
     'stopped by the operator'
@@ -102,19 +102,19 @@ def end_with_reason(ended: str, why: str) -> str:
 
 
 class ChannelKind(StrEnum):
-    """Quantity of a channel."""
+    """Quantity that a channel records."""
 
     COMMANDED = "commanded"  # commanded position of the axis
     MEASURED = "measured"  # position of the axis' encoder
     LOAD = "load"  # position of the driven mass
-    VELOCITY = "velocity"  # of the driven mass
+    VELOCITY = "velocity"  # velocity of the driven mass
     FRAME = "frame"  # position of the frame
     TOOL = "tool"  # position of the point that does the work
-    VOLTAGE = "voltage"  # at the amplifier's input
-    CURRENT = "current"  # in the motor
-    TORQUE_SHARE = "torque_share"  # torque needed from a position source / available torque
+    VOLTAGE = "voltage"  # voltage at the amplifier's input
+    CURRENT = "current"  # current in the motor
+    TORQUE_SHARE = "torque_share"  # needed torque / available torque of a stepper or pulse servo
     SENSOR = "sensor"  # reading of a sensor that is not the encoder of an axis
-    TENSION = "tension"  # of a winder's fibre at its eye
+    TENSION = "tension"  # tension of a winder's fibre at the eye
     INPUT = "input"  # state of a digital input, 0 or 1
     OUTPUT = "output"  # state of a digital output, 0 or 1
     OPERATION = "operation"  # index of the job operation in progress
@@ -137,9 +137,9 @@ class Channel:
     unit
         SI unit of the samples, ``""`` for numbers without unit.
     clock, stride
-        The clock of the samples, and its ticks per sample.
+        The clock of the samples, and the number of ticks from sample to sample.
     axis
-        Axis of the channel, ``""`` for none.
+        Axis of the channel, ``""`` if it belongs to no axis.
     """
 
     name: str
@@ -157,10 +157,10 @@ class RecordingBlock:
     Parameters
     ----------
     first_tick
-        Per clock name: the tick of the first sample of each channel of that clock.
+        Clock name -> tick of the first sample of each channel with this clock.
     samples
-        Per channel name: (n,) float64, n the same for channels of one clock and stride. In a
-        recording of several runs, channels in which the runs differ are (n, runs).
+        Channel name -> (n,) float64 samples; n is the same for channels with the same clock and
+        stride. In a recording of several runs, channels in which the runs differ are (n, runs).
     events
         Events that took effect within the block.
     """
@@ -182,17 +182,17 @@ class Recording:
     channels
         The channels, with unique names.
     blocks
-        Blocks of samples, in order; a ``Stream`` if they are read more than once or sent to another
-        process.
+        Blocks of samples, in order. They must be a ``Stream`` if they are read more than once or
+        sent to another process.
     job_sha256, machine_sha256
         Hashes of the job and of the machine.
     simulated
         False for a live recording.
     origin
-        Options of the plan (job file, machine, interpolation, feed, tolerance ...), so that the
-        recording can be judged without it.
+        Options of the plan (job file, machine, interpolation, feed, tolerance ...), from which the
+        plan can be made again to judge the recording.
     runs
-        Number of runs of the same commands recorded side by side.
+        Number of runs of the same commands that are recorded side by side.
     """
 
     channels: tuple[Channel, ...]
@@ -210,7 +210,7 @@ class Recording:
 
     def __post_init__(self) -> None:
         first = {(c.kind, c.axis): c for c in reversed(self.channels)}
-        # Prefer ``X.current``, the sampled current, even if ``X.current_peak`` comes first.
+        # Prefer the sampled current ``X.current``, even if ``X.current_peak`` comes first.
         plain = (c for c in self.channels if c.name == f"{c.axis}.{c.kind.value}")
         first |= {(c.kind, c.axis): c for c in plain}
         object.__setattr__(self, "_by_kind", first)
@@ -247,7 +247,7 @@ class Recording:
     def find(self, kind: ChannelKind, axis: str = "") -> Channel | None:
         """Return the channel of ``kind`` and ``axis``, or None if there is none.
 
-        If there are several, return the one called ``AXIS.kind``, else the first.
+        If there are several such channels, return the channel called ``AXIS.kind``, else the first.
         """
         return self._by_kind.get((kind, axis))
 
@@ -289,7 +289,8 @@ class Recording:
     def samples_of(self, names: Iterable[str]) -> dict[str, tuple[FloatArray, FloatArray]]:
         """Return times in s and values of whole channels by name, as ``samples`` does.
 
-        The blocks are read once: each reading of a recording that is not kept simulates it again.
+        The blocks are read only once, because each reading of a simulated recording that is not
+        kept in memory simulates it again.
         """
         channels = {name: self.channel(name) for name in names}
         times: dict[str, list[FloatArray]] = {name: [] for name in channels}
@@ -312,7 +313,7 @@ def columns_of(recording: Recording) -> dict[str, FloatArray]:
     """Return the channels of one run as (n,) columns over the times of the finest channel.
 
     Keys are ``time [s]``, then the name of each channel with its unit: ``X.load [m]``. A channel
-    with fewer samples holds each value until its next one, and is NaN before its first.
+    with fewer samples holds each sample until its next one, and is NaN before its first sample.
     """
     found = recording.samples_of(channel.name for channel in recording.channels)
     times_s = max((times for times, _ in found.values()), key=len, default=np.empty(0))
@@ -328,7 +329,7 @@ def columns_of(recording: Recording) -> dict[str, FloatArray]:
 
 
 def _of_one_run(blocks: Iterable[RecordingBlock], run: int) -> Iterator[RecordingBlock]:
-    """Yield blocks with the samples of one run; channels common to all runs are (n,) already."""
+    """Yield blocks with the samples of one run; channels that all runs share are (n,) already."""
     for block in blocks:
         yield replace(
             block,

@@ -1,4 +1,4 @@
-"""Commands of an embroidery frame: step tables per stitch and axis; and the hash of rows.
+"""Commands of an embroidery frame (step tables per stitch and axis), and the hash of rows.
 
 ``docs/files.md`` ("The hash of the rows") defines the hash, so that another program can compute it.
 """
@@ -25,7 +25,7 @@ STEPS = "threadline step play 1"
 
 
 class RowsHash:
-    """Hashes rows and events as they are added; the division into blocks makes no difference.
+    """Hashes rows and events as they are added; their division into blocks has no effect.
 
     Parameters
     ----------
@@ -36,7 +36,7 @@ class RowsHash:
     names
         Names of the axes or outputs.
     numbers
-        All numbers except the rows, in the order of the definition.
+        All numbers except the rows, in the order of the definition in ``docs/files.md``.
     """
 
     def __init__(
@@ -95,7 +95,7 @@ CountedBy = Literal["time", "angle"]
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class StepTable(Locked):
-    """The intervals of one move: a table of k intervals moves by k steps.
+    """The step intervals of one move; k intervals make a move of k steps.
 
     Parameters
     ----------
@@ -134,15 +134,15 @@ class StitchBlock(Locked):
     begin
         (n,) int: tick of the clock at which the tables begin.
     window
-        (n,) int: ticks that the shaft takes through the window of the move at constant speed.
+        (n,) int: ticks in which the shaft turns through the window of the move at constant speed.
     table
-        (n, A) int: table of the library that each axis plays, -1 for no motion.
+        (n, A) int: index in the library of the table that each axis plays; -1 for no motion.
     sign
-        (n, A) int: 1 or -1, direction of the steps; 0 for no motion.
+        (n, A) int: direction of the steps, 1 or -1; 0 for no motion.
     start
         (n,) int: shaft angle at which the tables begin.
     needle
-        (n,) int: 1 where the needle enters the cloth in this turn, 0 where it is held up.
+        (n,) int: 1 if the needle enters the cloth in this turn, 0 if it is held up.
     operation
         (n,) int: operation of the job of each turn.
     events
@@ -194,8 +194,8 @@ class StitchBlock(Locked):
 class StepPlay(Locked):
     """Commands of an embroidery frame: a table of step intervals for each stitch and axis.
 
-    Each turn of the shaft has a window in which the frame moves. A table of time intervals fits one
-    shaft speed; a table of angle intervals fits every speed.
+    Each turn of the shaft has a window in which the frame moves. A table of time intervals is valid
+    for one shaft speed; a table of angle intervals is valid for every speed.
 
     Parameters
     ----------
@@ -206,7 +206,7 @@ class StepPlay(Locked):
     steps_per_turn
         Number of equal parts of a turn of the shaft.
     window_angle
-        Number of those parts in the window of the move.
+        Number of these parts in the window of the move.
     axes
         Names, in the order of the columns.
     steps_per_unit
@@ -216,11 +216,11 @@ class StepPlay(Locked):
     library
         The tables.
     blocks
-        Re-iterable blocks of turns, consecutive from 0.
+        Re-iterable blocks of turns, consecutive from turn 0.
     duration_ticks
         Length of all turns together, in ticks of the clock.
     job_sha256, machine_sha256
-        Hashes of the job and machine of the commands.
+        Hashes of the job and the machine for which the commands were made.
     """
 
     clock: Clock
@@ -260,8 +260,8 @@ class StepPlay(Locked):
         Raises
         ------
         ValueError
-            If a stitch names an unknown table, begins outside its turn, has a table longer than its
-            window, ends after ``duration_ticks``, or does not follow the stitch before it.
+            If a stitch names an unknown table, begins outside its turn, has a table that is longer
+            than its window, ends after ``duration_ticks``, or does not follow the preceding stitch.
         """
         expected, free = 0, 0
         spans = _spans(self.library)
@@ -330,7 +330,7 @@ class StepPlay(Locked):
 
     def end_steps(self) -> IntArray:
         """Return the (A,) position after the last stitch, in steps; reads every block."""
-        # A stitch without motion has index -1: the last entry, 0 steps.
+        # A stitch without motion has the index -1, which selects the last entry: 0 steps.
         lengths = np.array([*(len(table) for table in self.library), 0], dtype=np.int64)
         total = self.start_steps.copy()
         for block in self:
@@ -346,7 +346,8 @@ def _step_play(*values: Any) -> StepPlay:
 def concatenated_intervals(tables: tuple[StepTable, ...]) -> tuple[IntArray, IntArray]:
     """Return the intervals of all tables in one array, and the start index of each table.
 
-    ``np.add.reduceat`` takes both; a call per table would be slow for hundreds of tables.
+    The results are the arguments of ``np.add.reduceat``; a call per table would be slow for
+    hundreds of tables.
     """
     ends = np.cumsum([len(table) for table in tables], dtype=np.int64)
     begins = np.concatenate((np.zeros(1, dtype=np.int64), ends[:-1]))
@@ -355,7 +356,7 @@ def concatenated_intervals(tables: tuple[StepTable, ...]) -> tuple[IntArray, Int
 
 @lru_cache(maxsize=1)
 def _spans(tables: tuple[StepTable, ...]) -> IntArray:
-    """Return the length of each table in counts, shape (k + 1,); the last entry, 0, is for none."""
+    """Return the (k + 1,) length of each table in counts; the last entry, 0, means no table."""
     spans = np.zeros(len(tables) + 1, dtype=np.int64)
     if tables:
         intervals, begins = concatenated_intervals(tables)

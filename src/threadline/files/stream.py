@@ -1,4 +1,4 @@
-"""Re-iterable streams, with which a job of any length needs only bounded memory."""
+"""Re-iterable streams: with them, a job of any length needs only bounded memory."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ class Stream(Generic[T]):
     Stages pass streams of blocks instead of lists, so that only the current block is in memory, and
     a second pass (for a scale, or for the judge) is another ``for`` loop.
 
-    A stream is a recipe, a function with its arguments, and never a closure: it can be pickled, and
-    another process reads the same blocks from it.
+    A stream consists of a function and its arguments, and never of a closure. It can therefore be
+    pickled, and another process can read the same blocks from it.
 
     >>> numbers = Stream(reversed, (1, 2, 3))
     >>> list(numbers), list(numbers)
@@ -63,11 +63,12 @@ class Stream(Generic[T]):
 
 
 class KeptStream(Stream[SizedT]):
-    """A stream of blocks that is read many times: a short one is computed once and kept.
+    """A stream of blocks that is computed once and kept in memory, if it is short.
 
-    All readings, simultaneous or later, share the blocks that one of them computed, unless they
-    have more than ``MOST_KEPT`` rows in total. Kept blocks are not pickled: another process
-    computes them again. Because readers share the blocks, the blocks must be locked.
+    All readings, simultaneous or later, share the blocks that the first reading computed. A stream
+    with more than ``MOST_KEPT`` rows in total is computed anew for each reading. Kept blocks are
+    not pickled: another process computes them again. Because readers share the blocks, the blocks
+    must be locked.
 
     >>> lengths = KeptStream(iter, ("abc", "de"))
     >>> list(lengths) == list(lengths) == ["abc", "de"]
@@ -87,7 +88,7 @@ class KeptStream(Stream[SizedT]):
     def _begin(self) -> None:
         self._items: list[SizedT] = []  # blocks computed so far
         self._source: Iterator[SizedT] | None = None  # computes the following blocks
-        self._rows = 0  # more than ``MOST_KEPT``: every reading computes its blocks
+        self._rows = 0  # if it exceeds ``MOST_KEPT``, every reading computes its own blocks
         self._ended = False
         self._lock = Lock()
 
@@ -125,7 +126,7 @@ class KeptStream(Stream[SizedT]):
         return islice(super().__iter__(), taken, None)
 
     def _extend(self) -> Iterator[SizedT] | None:
-        """Compute the next item; if there are too many to keep, return it and all that follow."""
+        """Compute the next item; if there are too many to keep, return it and all further items."""
         source = super().__iter__() if self._source is None else self._source
         rows = self._rows
         self._source, self._rows = None, self.MOST_KEPT + 1  # in case it raises

@@ -1,4 +1,4 @@
-"""Arc length of curves: tables of lengths, and their inverse, fast for millions of stitches."""
+"""Arc length of curves: tables of lengths and their fast inverse, for millions of stitches."""
 
 from __future__ import annotations
 
@@ -36,8 +36,9 @@ def invert(curve: Curve, spans: Spans, span: IntArray, wanted_m: FloatArray) -> 
 
     Notes
     -----
-    Newton's method with a bracket that is halved if a step would leave it. The length up to a
-    parameter is a quadrature with 12 nodes from the beginning of the span, exact to rounding.
+    Newton's method is used within a bracket, which is halved if a step would leave it. The length
+    up to a parameter is computed by quadrature with 12 nodes from the beginning of the span; it is
+    exact to rounding.
     """
     result: FloatArray = _invert(*curve, *spans, span, wanted_m)
     return result
@@ -99,7 +100,7 @@ def _invert(  # type: ignore[no-untyped-def]
     return result
 
 
-TOLERANCE_M = 1e-12  # per span of a table; a table of 1000 spans is good to 1e-9 m
+TOLERANCE_M = 1e-12  # error per span of a table; a table of 1000 spans is accurate to 1e-9 m
 _MAX_HALVINGS = 48
 _CHUNK = 1 << 15
 
@@ -117,7 +118,8 @@ class ArcTable:
     begin_u, end_u
         (n,) parameter range of the span on its piece.
     begin_m
-        (n + 1,) length from the start of the curve to each span; the last one is the total length.
+        (n + 1,) length from the start of the curve to each span; the last value is the total
+        length.
     even
         (pieces,) whether length and parameter are proportional: chords and circular arcs.
     """
@@ -142,10 +144,10 @@ class ArcTable:
     def locate(self, length_m: FloatArray) -> tuple[IntArray, FloatArray]:
         """Return the (m,) pieces and (m,) parameters at (m,) lengths.
 
-        The length at the parameter is exact to 1e-12 m or to the rounding of the parameter. Lengths
-        outside the curve are clamped.
+        The length at the returned parameter is exact to 1e-12 m, or to the rounding of the
+        parameter. Lengths outside of the curve are clamped to its ends.
         """
-        # For a few lengths np.clip takes three times as long as both calls.
+        # For a few lengths np.clip takes three times as long as both of these calls.
         wanted = np.maximum(np.asarray(length_m, dtype=np.float64), 0.0)
         wanted = np.minimum(wanted, self.length_m)
         span = np.searchsorted(self.begin_m, wanted, side="right") - 1
@@ -176,7 +178,7 @@ class ArcTable:
 def span_lengths(
     pieces: Pieces, piece: IntArray, begin_u: FloatArray, end_u: FloatArray
 ) -> FloatArray:
-    """Return the (m,) lengths of the pieces from ``begin_u`` to ``end_u`` by one quadrature."""
+    """Return the (m,) lengths of pieces from ``begin_u`` to ``end_u``, by one quadrature each."""
     half = 0.5 * (end_u - begin_u)
     nodes = (0.5 * (begin_u + end_u))[:, None] + half[:, None] * NODES
     flat = np.repeat(piece, len(NODES))
@@ -206,8 +208,8 @@ def arc_table(pieces: Pieces) -> ArcTable:
     piece, begin, end, length = (np.concatenate(column) for column in zip(*found, strict=True))
     order = np.lexsort((begin, piece))
     total = np.cumsum(length[order].astype(np.longdouble)).astype(np.float64)
-    if not pieces.top.flags.c_contiguous:  # for instance of a reversed curve
-        # Other memory layouts would compile another version of ``invert``.
+    if not pieces.top.flags.c_contiguous:  # for instance for a reversed curve
+        # numba would compile another version of ``invert`` for another memory layout.
         pieces = pieces.take(np.arange(len(pieces)))
     return ArcTable(
         pieces=pieces,

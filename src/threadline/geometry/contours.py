@@ -1,4 +1,4 @@
-"""Contours: arcs of their segments, contours written in seam files, and joining of strokes."""
+"""Contours: arc segments, contours that are written in seam files, and joining of strokes."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ TURNS = ("ccw", "cw")
 
 
 def bulge_segment(begin: FloatArray, end: FloatArray, bulge: float, line: int) -> Pieces:
-    """Return the arc of a bulge (tangent of a quarter of its angle); a chord for a bulge of 0."""
+    """Return the arc with a bulge (tangent of a quarter of its angle); a chord for the bulge 0."""
     return bulges(np.array([begin, end]), np.array([bulge]), line)
 
 
@@ -75,7 +75,7 @@ def centre_segment(
 def radius_segment(
     begin: FloatArray, end: FloatArray, radius_m: float, turn: str, large: bool, line: int
 ) -> Pieces:
-    """Return the arc of ``radius_m``; ``large`` chooses the arc of more than half a turn.
+    """Return the arc with ``radius_m``; with ``large`` the arc of more than half a turn.
 
     Raises
     ------
@@ -172,15 +172,15 @@ def _segment(
 
 ZERO_LENGTH_M = 1e-9
 _SAID = 10
-_NEAR = 100.0  # ends up to this many gaps apart are probably meant to meet
+_NEAR = 100.0  # ends up to so many gaps apart are probably meant to meet
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Contour:
     """A curve without branches.
 
-    The ends of neighbouring pieces are at most the gap apart. A gap is not closed: it is a jump in
-    position without length.
+    The ends of neighbouring pieces are at most ``gap_m`` apart. Such a gap is not closed: it is a
+    jump in position without length.
     """
 
     pieces: Pieces
@@ -242,8 +242,8 @@ def join_strokes(
     Raises
     ------
     JobError
-        If three or more ends meet, so that the continuation is ambiguous, or a stroke is shorter
-        than the gap.
+        If three or more ends meet, so that the continuation is ambiguous, or if a stroke is shorter
+        than ``gap_m``.
     """
     if not strokes:
         return [], []
@@ -253,7 +253,7 @@ def join_strokes(
     loop = np.hypot(*(last - first).T) <= gap_m
     for k in np.flatnonzero(loop).tolist():
         _refuse_short(strokes[k], gap_m, file)
-    ends = np.concatenate([first, last])  # end e is of stroke e % n; from n on last points
+    ends = np.concatenate([first, last])  # end e belongs to stroke e % n; from n on last points
     count = len(strokes)
     partner = _partners(ends, np.tile(~loop, 2), gap_m, strokes, file)
     warnings = _gap_warnings(ends, partner, strokes, file)
@@ -282,7 +282,7 @@ def join_strokes(
 def _partners(
     ends: FloatArray, free: np.ndarray, gap_m: float, strokes: Sequence[Stroke], file: str
 ) -> IntArray:
-    """Return (2 n,) for each end the index of the end that it meets, -1 for none."""
+    """Return the (2 n,) index of the end that each end meets, -1 for none."""
     from scipy.spatial import cKDTree
 
     count = len(strokes)

@@ -1,7 +1,7 @@
 """Exact pieces of curves, made from points, bulges, centres and knots.
 
 A few arrays hold all pieces of a drawing, because a million chords as objects would be slow. Affine
-maps of pieces (an inserted block, an SVG transform) are exact.
+maps of pieces (for an inserted block or an SVG transform) are exact.
 """
 
 from __future__ import annotations
@@ -31,13 +31,13 @@ class Pieces:
     Parameters
     ----------
     top
-        (n, order, 2) m.
+        (n, order, 2) coefficients, m.
     bottom
-        (n, order) weights; ``[1, 0, ...]`` unless the piece is rational.
+        (n, order) coefficients of the denominator; ``[1, 0, ...]`` unless the piece is rational.
     begin_rad, sweep_rad
-        (n,) rad.
+        (n,) angle at the beginning, and signed sweep, rad; 0 for polynomial pieces.
     line
-        (n,) int: line of the file, 0 where it is unknown.
+        (n,) int: line of the file, 0 if it is unknown.
     """
 
     top: FloatArray
@@ -51,13 +51,13 @@ class Pieces:
 
     @property
     def is_line(self) -> NDArray[np.bool_]:
-        """(n,) bool: straight, with length and parameter proportional."""
+        """(n,) bool: whether a piece is straight, with length proportional to the parameter."""
         higher = (self.top[:, 2:] != 0).any(axis=(1, 2)) | (self.bottom[:, 1:] != 0).any(axis=1)
         return np.asarray(~higher & (self.sweep_rad == 0.0), dtype=np.bool_)
 
     @property
     def is_circle(self) -> NDArray[np.bool_]:
-        """(n,) bool: an arc of a circle, to rounding."""
+        """(n,) bool: whether a piece is an arc of a circle, within rounding."""
         a, b = self.top[:, 1], self.top[:, 2]
         size = (a**2).sum(axis=1) + (b**2).sum(axis=1)
         skew = np.abs((a * b).sum(axis=1)) + np.abs((a**2 - b**2).sum(axis=1))
@@ -66,12 +66,14 @@ class Pieces:
     def evaluate(
         self, piece: IntArray, u: FloatArray, derivative: int = 0
     ) -> tuple[FloatArray, ...]:
-        """Return positions and their derivatives by u up to ``derivative`` (at most 2).
+        """Return positions and their derivatives with respect to u, up to ``derivative``.
 
         Parameters
         ----------
         piece, u
             (m,) indices of pieces, and parameters on them.
+        derivative
+            Highest order of the derivatives, at most 2.
 
         Returns
         -------
@@ -124,8 +126,8 @@ class Pieces:
     def end_directions(self) -> tuple[FloatArray, FloatArray]:
         """Return the (n, 2) unit tangents at the first and at the last point of every piece.
 
-        If the derivative vanishes (a Bezier curve with two equal control points) the tangent is the
-        limit, approximated by a step inside.
+        If the derivative is 0 (a Bezier curve with two equal control points), the tangent is its
+        limit, approximated at a point slightly inside the piece.
         """
         if self.is_line.all():
             tangent = self.top[:, 1] / np.maximum(np.hypot(*self.top[:, 1].T), 1e-300)[:, None]
@@ -184,7 +186,7 @@ class Pieces:
 
 @cache
 def _mirror(order: int) -> FloatArray:
-    """Return the matrix of the coefficients of p(1 - u): sum over k of top[k] (1 - u)^k."""
+    """Return the matrix that maps the coefficients of a polynomial p(u) to those of p(1 - u)."""
     mirror = np.zeros((order, order))
     for k in range(order):
         mirror[k, : k + 1] = polynomial.polypow([1.0, -1.0], k) if k else [1.0]
@@ -237,7 +239,10 @@ def _bundle(top: FloatArray, bottom: FloatArray, lines: IntArray | int) -> Piece
 
 
 def chords(points: FloatArray, lines: IntArray | int = 0) -> Pieces:
-    """Return the chords that join ``points``, (n + 1, 2) m; ``lines`` (n,) or one number."""
+    """Return the chords between consecutive ``points``, (n + 1, 2) m.
+
+    ``lines`` has the (n,) lines of the file, or one line for all chords.
+    """
     top = np.zeros((len(points) - 1, 3, 2))
     top[:, 0], top[:, 1] = points[:-1], np.diff(points, axis=0)
     bottom = np.zeros((len(top), 3))
@@ -253,7 +258,7 @@ def ellipse_arc(
     sweep_rad: float,
     line: int = 0,
 ) -> Pieces:
-    """Return ``centre + a cos(w) + b sin(w)`` for w from ``begin_rad`` on, through ``sweep_rad``.
+    """Return ``centre + a cos(w) + b sin(w)`` for w from ``begin_rad`` over ``sweep_rad``.
 
     ``centre``, ``a`` and ``b`` are (2,) m; for a circle a and b are perpendicular and of equal
     length.
@@ -270,7 +275,7 @@ def bulges(points: FloatArray, bulge: FloatArray, lines: IntArray | int = 0) -> 
     Parameters
     ----------
     points
-        (n + 1, 2) m.
+        (n + 1, 2) points, m.
     bulge
         (n,) tangent of a quarter of the angle of the arc from point i to point i + 1, positive
         counter-clockwise, 0 for a chord: the DXF convention.
@@ -322,18 +327,18 @@ def spline(
     Parameters
     ----------
     control
-        (n, 2) m.
+        (n, 2) control points, m.
     knots
-        (n + degree + 1,) not decreasing.
+        (n + degree + 1,) knots, not decreasing.
     degree
-        At most 12.
+        Degree of the spline, at most 12.
     weights
-        (n,) > 0; all 1 by default.
+        (n,) weights above 0; all 1 by default.
 
     Notes
     -----
-    Knots are inserted until each has multiplicity ``degree`` (Boehm's algorithm, in homogeneous
-    coordinates); the control points are then the control points of the spans.
+    Knots are inserted until the multiplicity of each is ``degree`` (Boehm's algorithm, in
+    homogeneous coordinates). The control points are then the control points of the Bezier curves.
     """
     if len(knots) != len(control) + degree + 1:
         raise ValueError(

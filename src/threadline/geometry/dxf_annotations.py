@@ -1,4 +1,4 @@
-"""Leaders and fills of a DXF drawing, which are not sewn but kept when the drawing is edited."""
+"""Leaders and fills of a DXF drawing, which are not sewn but are kept when it is edited."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from threadline.geometry.write_dxf import PATTERNS, Fill
 
 _NEAR = 2.0  # largest distance of a label from the end of its leader, in letter heights
 _MOST_POINTS, _LONGEST = 20_000, 100  # points of a leader, characters of its text
-_ALIKE = 0.02  # largest difference of a fill from its boundary, as a share of its size
+_ALIKE = 0.02  # largest difference between a fill and its boundary, as a share of the size
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Leader:
-    """A leader line, (n, 2) m: its first point is the arrow head, its text stands at the last.
+    """A leader line, (n, 2) m: its first point is the arrow head, its text is at the last point.
 
-    ``lines`` are the lines of the file at which its entities begin.
+    ``lines`` has the lines of the file at which the entities of the leader and its text begin.
     """
 
     points: FloatArray
@@ -49,7 +49,7 @@ def read_remarks(content: bytes, file: str, most: int) -> tuple[list[Leader], li
     content, file
         As for ``read_dxf``.
     most
-        Largest number of leaders and of fills; the rest is omitted.
+        Largest number of leaders, and of fills; further ones are omitted.
 
     Raises
     ------
@@ -87,8 +87,8 @@ class _Texts:
     def label(self, leader: Any, end: FloatArray) -> tuple[str, int]:
         """Return the text of a leader and its line in the file.
 
-        The text is named by the leader, else nearest on its layer, else "" with line 0.
-        ``end``, shape (2,), is the last point of the leader.
+        It is the text that the leader names, else the nearest text on the layer of the leader, else
+        "" with line 0. ``end``, shape (2,), is the last point of the leader.
         """
         text = self._of_handle.get(str(leader.dxf.get("annotation_handle", "")))
         if text is None and self._texts:
@@ -132,22 +132,22 @@ def _fillings(hatch: Any, lines: dict[str, int], metres: float) -> list[Filling]
 
 
 def _fill(hatch: Any) -> Fill:
-    """Return the fill most similar to a hatch; an unknown pattern counts as hatched."""
+    """Return the kind of fill most similar to a hatch; an unknown pattern counts as hatched."""
     if hatch.dxf.solid_fill:
         return "solid"
     return "crossed" if hatch.dxf.pattern_name == PATTERNS["crossed"] else "hatched"
 
 
 def filled_by(ring: FloatArray, measured: FloatArray) -> int | None:
-    """Return the index of the ring that a fill fills; None for no ring.
+    """Return the index of the ring that is filled by a fill; None if there is none.
 
     Parameters
     ----------
     ring
         (n, 2) boundary of the fill.
     measured
-        (m, 5) ``measured_rings`` of the rings. Extents and area are compared, because curves may be
-        divided into other chords.
+        (m, 5) result of ``measured_rings`` for the candidates. Only extents and area are compared,
+        because curves may be divided into different chords.
     """
     (ours,) = measured_rings([ring])
     size = float(np.hypot(*(ours[2:4] - ours[:2])))

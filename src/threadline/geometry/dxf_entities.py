@@ -20,7 +20,7 @@ class NotFlatError(ValueError):
 
 
 def entity_pieces(entity: Any, line: int) -> Pieces | None:
-    """Return the pieces of an entity, or None for a kind without lines.
+    """Return the pieces of an entity, or None for a kind of entity without lines.
 
     Raises
     ------
@@ -43,7 +43,7 @@ def entity_pieces(entity: Any, line: int) -> Pieces | None:
 
 
 def _plane(points: Any) -> FloatArray:
-    """Return the (n, 2) x and y of points that share one z."""
+    """Return the (n, 2) x and y of points, which must all have the same z."""
     array = np.array([tuple(point) for point in points], dtype=np.float64)
     if not np.isfinite(array).all():
         raise ValueError("a coordinate is not a finite number")
@@ -96,7 +96,7 @@ def _bulged(entity: Any, points: list[Any], bulge: list[float], line: int) -> Pi
     """Return a polyline with bulges, from the entity's coordinate system."""
     ocs = entity.ocs()
     flat = _plane([ocs.to_wcs(point) for point in points])
-    # A mirrored system turns counter-clockwise arcs into clockwise ones.
+    # In a mirrored coordinate system counter-clockwise arcs become clockwise.
     if entity.dxf.get("extrusion", (0, 0, 1))[2] < 0:
         bulge = [-value for value in bulge]
     if entity.is_closed:

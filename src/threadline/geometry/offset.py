@@ -21,12 +21,12 @@ _SAME_M = 1e-9
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Mitre:
-    """A round at a corner, and the mitre that may replace it.
+    """A rounded corner, and the mitre that may replace it.
 
     Parameters
     ----------
     first, last
-        First and last chord of the round in the raw chain.
+        Indices of the first and last chord of the round in the raw chain.
     begin, apex, end
         (2,) beginning of the round, tip of the mitre, and end of the round.
     """
@@ -43,14 +43,14 @@ def sharpen(
 ) -> tuple[FloatArray, IntArray]:
     """Replace every complete round of the chain by its mitre.
 
-    Parts of an offset are validated by their distance from the contour, which is constant on a
-    round but not on a mitre. Mitres therefore replace rounds afterwards, unless they would cross
-    another part of the chain.
+    Parts of an offset are valid if their distance from the contour is large enough. This distance
+    is constant on a round, but not on a mitre. Mitres therefore replace rounds only after this
+    check, and only if they do not cross another part of the chain.
 
     Parameters
     ----------
     points, labels
-        (n + 1, 2) points of the offset, and (n,) the chord of the raw chain of each of its chords.
+        (n + 1, 2) points of the offset, and (n,) the index in the raw chain of each of its chords.
     """
     whole = _whole(points, labels, mitres)
     while True:
@@ -65,7 +65,7 @@ def sharpen(
 def _whole(
     points: FloatArray, labels: IntArray, mitres: Sequence[Mitre]
 ) -> list[tuple[int, int, Mitre]]:
-    """Return first and last chord of every complete round."""
+    """Return the first and last chord of every complete round, with its mitre."""
     at = {int(label): k for k, label in enumerate(labels)}
     found = []
     for mitre in mitres:
@@ -81,7 +81,7 @@ def _whole(
 def _replace(
     points: FloatArray, labels: IntArray, whole: list[tuple[int, int, Mitre]]
 ) -> tuple[FloatArray, IntArray, IntArray]:
-    """Return points, labels, and the mitre of each chord or -1."""
+    """Return points, labels, and the index of the mitre of each chord, -1 for none."""
     parts, names, owner = [], [], []
     last = 0
     for k, (i, j, mitre) in enumerate(whole):
@@ -99,8 +99,8 @@ def _replace(
 class Part:
     """A part of a chain between two crossings.
 
-    ``begin`` and ``end`` are the indices of these crossings; -1 is the start and -2 the end of an
-    open chain. ``probe`` is a point far from both.
+    ``begin`` and ``end`` are the indices of these crossings. Instead of a crossing, -1 stands for
+    the start and -2 for the end of an open chain. ``probe`` is a point far from both ends.
     """
 
     points: FloatArray
@@ -110,7 +110,7 @@ class Part:
 
     @property
     def probe(self) -> FloatArray:
-        """(2,) middle of the longest chord."""
+        """(2,) middle of the longest chord of the part."""
         step = np.diff(self.points, axis=0)
         k = int(np.argmax(np.hypot(*step.T)))
         middle: FloatArray = self.points[k] + step[k] / 2.0
@@ -196,7 +196,7 @@ def _clear_of(probes, begin, end, distance_m):  # type: ignore[no-untyped-def]
     return clear
 
 
-TOLERANCE_M = 1e-7  # deviation of chords from curves; the offset is exact to 1 um
+TOLERANCE_M = 1e-7  # largest deviation of chords from curves; the offset is exact to 1 um
 _ROUND_M = 5e-7
 _MAX_CHORDS = 300_000
 _SLIGHT_RAD = math.radians(5.0)
@@ -215,7 +215,7 @@ class Allowance:
     join
         Form of corners, ``mitre`` or ``round``.
     mitre_limit
-        A mitre longer than this multiple of the distance is rounded.
+        A corner whose mitre is longer than this multiple of the distance is rounded.
     """
 
     distance_m: float
@@ -236,9 +236,10 @@ def offset_contour(contour: Contour, allowance: Allowance, file: str) -> list[Co
 
     Notes
     -----
-    Every chord is moved sideways; outer corners are rounded, inner corners overlap. The chain is
-    cut at its self-crossings, and parts nearer to the contour than the distance are removed.
-    Finally mitres replace rounds if ``join`` asks for them and they fit.
+    Every chord is moved sideways. Chords overlap at inner corners, and rounds join them at outer
+    corners. The chain is cut at its crossings with itself, and parts that are closer to the contour
+    than the distance are removed. Finally mitres replace rounds, if ``join`` asks for mitres and
+    they fit.
     """
     distance_m = allowance.distance_m
     if distance_m == 0.0:
@@ -284,7 +285,7 @@ def offset_contour(contour: Contour, allowance: Allowance, file: str) -> list[Co
 def _chain(
     begin: FloatArray, end: FloatArray, lines: IntArray, closed: bool
 ) -> tuple[FloatArray, IntArray]:
-    """Return (n + 1, 2) points without duplicates; a closed chain ends in its first point."""
+    """Return (n + 1, 2) points without duplicates; a closed chain ends at its first point."""
     last = begin[:1] if closed else end[-1:]
     points = np.concatenate([begin, last])
     keep = np.hypot(*np.diff(points, axis=0).T) > 1e-10
@@ -292,7 +293,7 @@ def _chain(
 
 
 def _side(points: FloatArray, closed: bool, allowance: Allowance, place: Place) -> float:
-    """Return 1 when the offset lies to the left of the contour's direction, -1 to the right."""
+    """Return 1 if the offset lies to the left of the contour's direction, -1 to the right."""
     if allowance.side in ("left", "right"):
         return 1.0 if allowance.side == "left" else -1.0
     if not closed:
@@ -314,9 +315,9 @@ def _raw_offset(
 ) -> tuple[FloatArray, IntArray, list[Mitre]]:
     """Return the chain of moved chords, joined but not cut.
 
-    ``tangents`` are the tangents of the curve at the ends of an open chain, None for a closed one.
-    The second result is the contour's chord of each chord of the chain; the third are the rounds
-    that mitres may replace.
+    ``tangents`` are the tangents of the curve at the ends of an open chain; None for a closed
+    chain. The second result has, for each chord of the chain, the index of its chord of the
+    contour. The third result has the rounds that mitres may replace.
     """
     closed = tangents is None
     direction = np.diff(points, axis=0)
@@ -332,7 +333,8 @@ def _raw_offset(
         owner.append(chord)
 
     def end(point: FloatArray, tangent: FloatArray, chord: FloatArray) -> FloatArray:
-        # On the moved chord, perpendicular to the curve, from which chords deviate at their ends.
+        # The end lies on the moved chord, perpendicular to the curve, whose tangent differs from
+        # the direction of the chord.
         normal = signed_m * np.array([-tangent[1], tangent[0]])
         return np.asarray(point + normal * signed_m**2 / float(normal @ chord))
 
@@ -371,14 +373,14 @@ def _corner(
     inner = turn * signed_m > 0.0
     mitre = 1.0 / max(math.cos(turn / 2.0), 1e-9)
     if inner and abs(turn) > _SLIGHT_RAD:
-        # Through the vertex, so that the overlap is too near and is removed.
+        # An inner corner goes through the vertex, so that the overlap is too close and is removed.
         return [corner + before, corner, corner + after]
     if inner or abs(signed_m) * (mitre - 1.0) <= _ROUND_M:
         return [corner + (before + after) / 2.0 * mitre**2]
     radius = abs(signed_m)
     step = 2.0 * math.acos(radius / (radius + _ROUND_M))
     parts = math.ceil(abs(turn) / step)
-    angles = turn * (np.arange(parts) + 0.5) / parts  # of a circumscribed polygon
+    angles = turn * (np.arange(parts) + 0.5) / parts  # corners of a circumscribed polygon
     grow = 1.0 / math.cos(turn / parts / 2.0)
     cosine, sine = np.cos(angles) * grow, np.sin(angles) * grow
     x = corner[0] + before[0] * cosine - before[1] * sine
@@ -389,10 +391,10 @@ def _corner(
 def _valid_parts(
     raw: FloatArray, points: FloatArray, closed: bool, distance_m: float
 ) -> list[tuple[FloatArray, IntArray, bool]]:
-    """Return the parts of the raw chain that are far enough, joined to chains.
+    """Return the parts of the raw chain that are far enough from the contour, joined to chains.
 
-    Each chain consists of its points, the raw chain's chord of each of its chords, and whether it
-    is closed.
+    Each chain consists of its points, the index in the raw chain of each of its chords, and whether
+    it is closed.
     """
     first, second, at_first, at_second, _ = crossings(raw[:-1], raw[1:], closed)
     parts = stitch_parts(raw, np.arange(len(raw) - 1), closed, (first, second, at_first, at_second))

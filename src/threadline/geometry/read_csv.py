@@ -1,8 +1,8 @@
 """Reader of drawings in tables: a point per row, and arcs by bulge or centre.
 
-The first row names the columns, with their unit: ``x [mm], y [mm], bulge``. Columns are ``x`` and
-``y``; then, for the segment after the point, ``bulge`` or ``cx``, ``cy`` and ``turn`` (ccw or cw);
-and ``layer``. A blank row ends a contour. Separators are commas, semicolons or tabs; with
+The first row has the names of the columns with their units: ``x [mm], y [mm], bulge``. The columns
+are ``x`` and ``y``; for the segment after the point ``bulge``, or ``cx``, ``cy`` and ``turn`` (ccw
+or cw); and ``layer``. A blank row ends a contour. Separators are commas, semicolons or tabs; with
 semicolons or tabs a decimal comma is allowed. A row that begins with # is a comment.
 """
 

@@ -27,10 +27,10 @@ from threadline.geometry.strokes import (
 from threadline.units import unit_factor
 
 _TEXTS = ("TEXT", "MTEXT", "ATTRIB", "ATTDEF", "ARCTEXT", "ACAD_PROXY_TEXT")
-_SILENT = ("VIEWPORT", "SEQEND")  # belong to the sheet, not to the drawing
+_SILENT = ("VIEWPORT", "SEQEND")  # entities of the sheet, not of the drawing
 _MAX_DEPTH = 32
 _TEXT_READ = 200
-_MAX_SAID, _LONGEST_SAID = 5, 200  # messages of ezdxf's log, and characters of each
+_MAX_SAID, _LONGEST_SAID = 5, 200  # most messages of ezdxf's log, and most characters of each
 _BYLAYER, _BYBLOCK = 256, 0
 _SURVEY = 1200.0 / 3937.0  # US survey foot in m
 _METRES = {
@@ -54,7 +54,7 @@ def read_dxf(
     unit
         Unit of a drawing without unit ($INSUNITS).
     most_lines
-        Largest number of lines, including blocks; None for ``MAX_LINES``.
+        Largest number of lines, including the lines of inserted blocks; None for ``MAX_LINES``.
 
     Raises
     ------
@@ -102,7 +102,8 @@ def _beginning_of(entity: Any) -> str:
 def _refuse_explosion(document: Any, walk: _Walk) -> None:
     """Refuse a drawing whose nested blocks expand to too many entities.
 
-    They are counted by multiplication: nine levels of ten insertions make 1e9 entities.
+    The entities are counted by multiplication, because nine levels of ten insertions each make 1e9
+    entities.
     """
     counts: dict[str, int] = {}
 
@@ -228,8 +229,8 @@ def entity_lines(content: bytes) -> dict[str, int]:
 class _Inherited:
     """Properties that an entity inherits from the insertion of its block.
 
-    An entity on layer 0 inherits the layer; BYBLOCK colour and line style are inherited; a point p
-    of the block lies at ``matrix @ p + offset``, in m.
+    An entity on layer 0 inherits the layer. An entity with BYBLOCK colour or line style inherits
+    these. A point p of the block lies at ``matrix @ p + offset``, in m.
     """
 
     layer: str
@@ -249,7 +250,7 @@ class _Walk:
     refusals: list[Refusal] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
     hidden: set[str] = field(default_factory=set)
-    invisible: set[str] = field(default_factory=set)  # layers with such a warning
+    invisible: set[str] = field(default_factory=set)  # layers with a warning of hidden entities
 
     def place(self, entity: Any) -> Place:
         """Return file and line of an entity."""

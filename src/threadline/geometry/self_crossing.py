@@ -20,12 +20,12 @@ def flatten(pieces: Pieces, tolerance_m: float) -> tuple[FloatArray, FloatArray,
     begin, end
         (m, 2) the ends of each chord, m.
     piece
-        (m,) int: the piece that it belongs to.
+        (m,) int: the piece that each chord belongs to.
 
     Notes
     -----
-    A chord of parameter width h is at most ``h^2 max|p''| / 8`` away from its curve. The maximum is
-    taken from 33 samples of each piece, plus a tenth.
+    A chord over a parameter interval h is at most ``h^2 max|p''| / 8`` away from its curve. The
+    maximum is taken from 33 samples of each piece and increased by a tenth.
     """
     count = len(pieces)
     index = np.arange(count)
@@ -59,13 +59,13 @@ def crossings(
     Returns
     -------
     first, second
-        (m,) int: chords, ``first < second``.
+        (m,) int: indices of the two chords, ``first < second``.
     at_first, at_second
-        (m,) places of the crossings on both chords, 0 to 1.
+        (m,) positions of the crossings on both chords, 0 to 1.
     complete
-        False if the search was ended early because there were too many pairs.
+        False if the search ended early because there were too many pairs.
     """
-    # The sweep runs along the axis on which fewer chords overlap.
+    # The sweep runs along the axis along which fewer chords overlap.
     shadow = np.abs(end - begin).sum(axis=0) / np.maximum(
         np.ptp(np.concatenate([begin, end]), axis=0), 1e-12
     )
@@ -116,8 +116,9 @@ def _sweep(a, b, order, closed, max_found, max_pairs):  # type: ignore[no-untype
                     at_firsts.append(s)
                     at_seconds.append(t)
             elif abs(dx * ry - dy * rx) <= 1e-12 * (rx * rx + ry * ry) > 0.0:
-                # On one line: they overlap when an end of q lies within p. A p of no length, of a
-                # curve that turns back on itself, is left to its neighbours, which end there.
+                # Both chords lie on one line: they overlap if an end of q lies within p. A chord p
+                # without length, where a curve turns back on itself, is left to its neighbours,
+                # which end there.
                 length = rx * rx + ry * ry
                 s0 = (dx * rx + dy * ry) / length
                 s1 = s0 + (sx * rx + sy * ry) / length

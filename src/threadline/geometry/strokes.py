@@ -1,4 +1,4 @@
-"""Styles of drawn lines: which of four a pattern of dashes and gaps is."""
+"""Strokes of drawings, and the style of a line from its pattern of dashes and gaps."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from threadline.errors import JobError, Place
 from threadline.geometry.curves import Pieces
 
 LineStyle = Literal["solid", "dashed", "dotted", "dashdot"]
-_LONGER = 2.0  # times the shortest dash: dashes of two lengths are dashes and dots
-_OF_WIDTH = 2.0  # a dash that is no longer than so many widths of its line is a dot
+_LONGER = 2.0  # if the longest dash exceeds the shortest by this factor, the shortest is a dot
+_OF_WIDTH = 2.0  # a dash that is at most so many line widths long is a dot
 _NUMBER = re.compile(r"([0-9]*\.?[0-9]+(?:[eE][-+]?[0-9]+)?)(?:px|mm|pt)?")
 _BYLAYER, _BYBLOCK = "BYLAYER", "BYBLOCK"
 
 
 def style_of(dashes: Sequence[float], dot: float = 0.0) -> LineStyle:
-    """Return the style of a line with dashes of these lengths; those up to ``dot`` are dots.
+    """Return the style of a line with dashes of these lengths; a dash up to ``dot`` is a dot.
 
     >>> style_of([1.27]), style_of([0.0]), style_of([2.54, 0.0]), style_of([])
     ('dashed', 'dotted', 'dashdot', 'solid')
@@ -33,9 +33,10 @@ def style_of(dashes: Sequence[float], dot: float = 0.0) -> LineStyle:
 
 
 def style_of_dasharray(dasharray: str, width: str) -> LineStyle:
-    """Return the style of a line of an SVG by its ``stroke-dasharray`` and ``stroke-width``.
+    """Return the style of a line of an SVG from its ``stroke-dasharray`` and ``stroke-width``.
 
-    Text that is neither a number nor a length counts as no pattern: nothing is sewn by it.
+    A text that is neither a number nor a length counts as no pattern. This is not an error, because
+    the style does not affect what is sewn.
 
     >>> style_of_dasharray("4 2", "0.3"), style_of_dasharray("6 2 0.5 2", "0.3")
     ('dashed', 'dashdot')
@@ -44,7 +45,7 @@ def style_of_dasharray(dasharray: str, width: str) -> LineStyle:
     given = [one for one in lengths if one is not None]
     if len(given) != len(lengths) or not any(given):
         return "solid"
-    around = given if len(given) % 2 == 0 else [*given, *given]  # as SVG has it
+    around = given if len(given) % 2 == 0 else [*given, *given]  # as SVG defines an odd number
     if not any(around[1::2]):
         return "solid"  # dashes without gaps
     return style_of(around[::2], _OF_WIDTH * (_length(width) or 0.0))
@@ -61,9 +62,9 @@ def style_of_linetype(document: Any, entity: Any, layer: Any, inherited: LineSty
     Parameters
     ----------
     document, entity, layer
-        Of ezdxf; the layer is None where the document has none of its name.
+        Objects of ezdxf; the layer is None if the document does not have the entity's layer.
     inherited
-        Style of the insertion of the block that the entity is in.
+        Style of the insertion of the block that contains the entity.
     """
     name = str(entity.dxf.get("linetype", _BYLAYER))
     if name.upper() == _BYBLOCK:
@@ -78,9 +79,9 @@ def style_of_linetype(document: Any, entity: Any, layer: Any, inherited: LineSty
 
 MAX_BYTES = 256 * 1024 * 1024
 MAX_STROKES = 1_000_000
-"""Most elements of a drawing, with copies."""
+"""Largest number of elements of a drawing, copies included."""
 MAX_LINES = 200_000
-"""Most lines of a drawing, with copies; each needs 4 kB of memory."""
+"""Largest number of lines of a drawing, copies included; a line needs 4 kB of memory."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -94,7 +95,7 @@ class Stroke:
     layer, colour
         Name of its layer, and its colour as ``"#rrggbb"``, ``"none"`` without one.
     style
-        Style of its line, for who edits the drawing.
+        Style of its line, which matters only when the drawing is edited.
     """
 
     pieces: Pieces
@@ -104,7 +105,7 @@ class Stroke:
 
     @property
     def line(self) -> int:
-        """Line of the file, 0 where it is unknown."""
+        """Line of the file, 0 if it is unknown."""
         return int(self.pieces.line[0])
 
 
@@ -121,7 +122,7 @@ class Refusal:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Drawing:
-    """A drawing as it was read, with all its layers and colours.
+    """A drawing as read from its file, with all its layers and colours.
 
     Parameters
     ----------
@@ -132,7 +133,7 @@ class Drawing:
     refusals
         Entities without a line to sew: text, images, hatches.
     warnings
-        Suspicious things found while reading.
+        Warnings about suspicious content.
     """
 
     file: str
@@ -147,7 +148,7 @@ def read_limited(path: Path, limit: int = MAX_BYTES) -> bytes:
     Raises
     ------
     JobError
-        If there is no such file, or it has more than ``limit`` bytes, or is an empty drawing.
+        If there is no such file, if it has more than ``limit`` bytes, or if it is an empty drawing.
     """
     place = Place(str(path))
     with open_binary(path) as stream:
@@ -159,7 +160,7 @@ def read_limited(path: Path, limit: int = MAX_BYTES) -> bytes:
             f"the file has more than {limit} bytes", place=place, remedy="Split the drawing."
         )
     if not content.strip() and path.suffix.lower() != ".toml":
-        # For an empty seam file, its own reader names the missing table.
+        # The reader of seam files names the missing table of an empty seam file.
         raise JobError("the file is empty", place=place, remedy="Save the drawing again.")
     return content
 
@@ -170,7 +171,7 @@ def decode_text(content: bytes, file: str, what: str) -> str:
     Raises
     ------
     JobError
-        If it is binary or in another encoding; with the line.
+        If the content is binary or has another encoding; names the line.
     """
     if content[:2] in (b"\xff\xfe", b"\xfe\xff"):
         raise JobError(f"the {what} is UTF-16 text", place=Place(file), remedy="Save it as UTF-8.")

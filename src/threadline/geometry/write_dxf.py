@@ -1,4 +1,4 @@
-"""Writer of drawings as DXF, millimetres."""
+"""Writer of drawings as DXF, in millimetres."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ _LINETYPES = {
     "solid": "CONTINUOUS", "dashed": "DASHED", "dotted": "DOT", "dashdot": "DASHDOT",
 }  # fmt: skip
 PATTERNS = {"hatched": "ANSI31", "crossed": "ANSI37"}
-"""Names of patterns of AutoCAD by names of fills."""
+"""Fill -> name of its pattern in AutoCAD."""
 FILL_LAYER, LEADER_LAYER = "FILL", "LEADER"
 """Layers of shapes that are not sewn."""
 _LABEL_MM = 4.0
-_CHORDS = 32  # of a piece of a curve, where it bounds a fill
+_CHORDS = 32  # number of chords for a piece of a curve that bounds a fill
 _GREY = 8
 
 
@@ -35,20 +35,21 @@ class DrawnShape:
     Parameters
     ----------
     kind
-        ``line`` and ``polygon`` join their points; an ``arc`` has its begin, a point on it and its
-        end; a ``circle`` its centre and a point on it; a ``spline`` passes through its points, as
-        Catmull and Rom have it. A ``leader`` points with its first point.
+        The points of a ``line`` or ``polygon`` are its corners. The points of an ``arc`` are its
+        beginning, a point on it and its end. The points of a ``circle`` are its centre and a point
+        on it. A ``spline`` is a Catmull-Rom spline through its points. The first point of a
+        ``leader`` is the arrow head.
     points
-        (n, 2) m.
+        (n, 2) points, m.
     style
         ``solid``, ``dashed``, ``dotted`` or ``dashdot``.
     fill
-        Fill of the area inside; an open shape is closed by a straight line for that.
+        Fill of the area inside; a straight line closes an open shape for this purpose.
     label
         Text at the last point of a leader.
     group
-        Number of what belongs together, 0 for nothing: shapes of a group that follow each other
-        with one fill are filled at once, and a shape inside another of them is a hole.
+        Number of the group of the shape, 0 for none. Consecutive shapes of a group with the same
+        fill are filled together, and a shape inside another one of them is a hole.
     """
 
     kind: ShapeKind
@@ -60,7 +61,7 @@ class DrawnShape:
 
 
 def centre_of(points: FloatArray) -> FloatArray | None:
-    """Return the (2,) centre of the circle through (3, 2) points; None where they are in line."""
+    """Return the (2,) centre of the circle through (3, 2) points; None if they are on one line."""
     first, second, third = points
     sides = 2.0 * np.array([second - first, third - first])
     if abs(np.linalg.det(sides)) <= 1e-12 * float((sides**2).sum()):
@@ -72,8 +73,8 @@ def centre_of(points: FloatArray) -> FloatArray | None:
 def spline_controls(points: FloatArray) -> FloatArray:
     """Return (3 n + 1, 2) control points of the cubic pieces of a spline through n + 1 points.
 
-    The tangent at a point is half the way from the one before it to the one behind it (Catmull and
-    Rom 1974); the first and the last point stand for their own neighbours.
+    The tangent at a point is half of the vector from the preceding to the following point (Catmull
+    and Rom 1974). The first and the last point count as their own missing neighbours.
     """
     padded = np.vstack([points[:1], points, points[-1:]])
     tangent = (padded[2:] - padded[:-2]) / 2.0
@@ -99,14 +100,14 @@ def dxf_of(shapes: Iterable[DrawnShape]) -> bytes:
 
 
 def _filled_as(numbered: tuple[int, DrawnShape]) -> tuple[int, int, str]:
-    """Return what shapes have in common that are filled at once: others have their number."""
+    """Return the key that shapes have in common if they are filled together."""
     at, shape = numbered
     alone = not shape.group or shape.fill == "none" or shape.kind == "leader"
     return (at if alone else -1, shape.group, shape.fill)
 
 
 def _add_shapes(space: Any, shapes: Sequence[DrawnShape]) -> None:
-    """Add shapes that are filled at once, and their fill before them."""
+    """Add shapes that are filled together; their fill comes before them."""
     if shapes[0].fill != "none" and shapes[0].kind != "leader":
         _add_fill(space, shapes)
     for shape in shapes:
@@ -119,7 +120,7 @@ def _add_shapes(space: Any, shapes: Sequence[DrawnShape]) -> None:
             space.add_circle(points[0].tolist(), radius, dxfattribs=look)
         elif shape.kind == "arc" and (centre := centre_of(points)) is not None:
             begin, via, end = np.degrees(np.arctan2(*(points - centre).T[::-1])).tolist()
-            if (via - begin) % 360.0 > (end - begin) % 360.0:  # it was drawn clockwise
+            if (via - begin) % 360.0 > (end - begin) % 360.0:  # the arc was drawn clockwise
                 begin, end = end, begin
             radius = float(np.hypot(*(points[0] - centre)))
             space.add_arc(centre.tolist(), radius, begin, end, dxfattribs=look)
@@ -136,19 +137,19 @@ def _add_shapes(space: Any, shapes: Sequence[DrawnShape]) -> None:
 
 
 def _add_leader(space: Any, shape: DrawnShape) -> None:
-    """Add a leader, and its label behind its last point."""
+    """Add a leader, and its label next to its last point."""
     points = (1e3 * shape.points).tolist()
     look = {"layer": LEADER_LAYER, "linetype": _LINETYPES[shape.style]}
     space.add_leader(points, dxfattribs=look)
     if shape.label:
         x, y = points[-1]
         where = {"layer": LEADER_LAYER, "char_height": _LABEL_MM, "insert": (x + 1.0, y)}
-        plain = re.sub(r"[\\{}]", r"\\\g<0>", shape.label)  # those begin a format
+        plain = re.sub(r"[\\{}]", r"\\\g<0>", shape.label)  # these characters begin a format
         space.add_mtext(plain, dxfattribs=where)
 
 
 def _add_fill(space: Any, shapes: Sequence[DrawnShape]) -> None:
-    """Add the fills of shapes; a shape inside another of them is a hole (style 0)."""
+    """Add the fill of shapes; a shape inside another one of them is a hole (style 0)."""
     fill = shapes[0].fill
     hatch = space.add_hatch(color=_GREY, dxfattribs={"layer": FILL_LAYER, "hatch_style": 0})
     if fill in PATTERNS:
@@ -158,7 +159,7 @@ def _add_fill(space: Any, shapes: Sequence[DrawnShape]) -> None:
 
 
 def ring_of(shape: DrawnShape) -> FloatArray:
-    """Return (n, 2) points in mm around the area of a shape; curves by chords."""
+    """Return (n, 2) points in mm around the area of a shape; curves are divided into chords."""
     points = 1e3 * shape.points
     if shape.kind == "circle":
         angle = np.linspace(0.0, 2.0 * np.pi, 4 * _CHORDS, endpoint=False)
@@ -167,7 +168,7 @@ def ring_of(shape: DrawnShape) -> FloatArray:
     if shape.kind == "arc" and (centre := centre_of(points)) is not None:
         begin, via, end = np.arctan2(*(points - centre).T[::-1])
         sweep = (end - begin) % (2.0 * np.pi)
-        if (via - begin) % (2.0 * np.pi) > sweep:  # it was drawn clockwise
+        if (via - begin) % (2.0 * np.pi) > sweep:  # the arc was drawn clockwise
             sweep -= 2.0 * np.pi
         angle = begin + np.linspace(0.0, sweep, 2 * _CHORDS)
         radius = np.hypot(*(points[0] - centre))

@@ -1,7 +1,7 @@
 """Digital controllers: difference equations on the error in counts, output in DAC levels.
 
-Each runs on its own clock; if the references come on a slower clock, ``reference_clock`` names it.
-With ``e`` the error at this tick and ``e'`` the error at the preceding tick:
+Each controller runs on its own clock. If its references come on a slower clock, ``reference_clock``
+names that clock. With ``e`` the error at this tick and ``e'`` the error at the preceding tick:
 
 ========  =======================================================================
 ``p``     ``u = kp e``  (the winder's thesis calls it PE, proportional error)
@@ -17,10 +17,12 @@ filter ``lead`` follows positions that the chip itself generates on the filter's
 a count:
 
 =====================  ==========================================================
-``integral-velocity``  sums up a speed, which approaches the difference of the last two references
-                       with ``acceleration``; speeds are 8-bit words of whole counts per tick
-``trapezoid``          goes to the reference with ``acceleration`` and at most ``velocity``; a new
-                       reference is followed when the last one has been reached
+``integral-velocity``  the positions are the sum of a speed. The speed approaches the difference of
+                       the last two references with ``acceleration``; it is an 8-bit word of whole
+                       counts per tick
+``trapezoid``          the positions go to the reference with ``acceleration`` and at most
+                       ``velocity``; a new reference is followed when the preceding reference has
+                       been reached
 =====================  ==========================================================
 """
 
@@ -54,10 +56,10 @@ class Dac:
     range: Annotated[Quantity, Units(("V",), positive=True)]
     """The levels span -range to +range."""
     zero_on_reversal: StrictBool = False
-    """Whether the output is 0 for one tick where it changes sign."""
+    """Whether the output is 0 for one tick when it changes sign."""
     rounding: Rounding = "nearest"
-    """Level of an output between two levels: the nearest (a half to the even one), the level below
-    (``floor``), or the one towards zero (``truncate``)."""
+    """Rounding of an output between two levels: to the nearest level (a half to the even level), to
+    the level below (``floor``), or to the level towards zero (``truncate``)."""
 
     @property
     def volt_per_level(self) -> float:
@@ -70,13 +72,13 @@ class Loop:
     """Common keys of controllers: clocks, encoder and motor."""
 
     clock: str
-    """The controller's own tick, a name of ``[clocks]``."""
+    """Clock of the controller's ticks, a name of ``[clocks]``."""
     sensor: str
-    """The encoder that it reads."""
+    """The encoder that the controller reads."""
     drive: str
-    """The motor that it commands."""
+    """The motor that the controller commands."""
     reference_clock: str | None = None
-    """Clock of the references, where they come more slowly than its own tick. Without it:
+    """Clock of the references, if they come more slowly than the controller's ticks. Without it:
     ``clock``."""
 
 
@@ -93,14 +95,14 @@ class PController(ProportionalLoop):
     """Proportional gain on the error in counts."""
 
     kind: Literal["p"]
-    """Law of the controller, as in the table above."""
+    """Control law, as in the table above."""
     dac: Dac
-    """Its output converter."""
+    """Output converter of the controller."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
 class PdController(ProportionalLoop):
-    """Proportional gain on the error in counts, differential gain on its change per tick."""
+    """Proportional gain on the error in counts, and differential gain on its change per tick."""
 
     kind: Literal["pd"]
     kd: Gain
@@ -138,11 +140,11 @@ class LeadFilter(Loop):
     """
 
     gain: Gain
-    """K of the filter."""
+    """Gain K of the filter."""
     zero: Annotated[Quantity, Units(("",))]
-    """A of the filter, 1/256 to 255/256."""
+    """Zero A of the filter, 1/256 to 255/256."""
     pole: Annotated[Quantity, Units(("",))]
-    """B of the filter, 1/256 to 255/256."""
+    """B of the filter, 1/256 to 255/256: its pole is at -B."""
     dac: Dac
 
     @model_validator(mode="after")
@@ -165,9 +167,9 @@ class LeadController(LeadFilter):
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
 class ProfileController(LeadFilter):
-    """The motion chip in modes in which it generates positions itself.
+    """The motion chip in a mode in which the chip itself generates positions.
 
-    ``acceleration`` is held in 15 bits, in 256ths of a count per tick squared.
+    ``acceleration`` is stored in 15 bits, in 256ths of a count per tick squared.
     """
 
     acceleration: Annotated[Quantity, Units(("count/tick**2",), positive=True)]
@@ -206,12 +208,12 @@ class VelocityController(Loop):
 
     kind: Literal["proportional-velocity"]
     gain: Gain
-    """Gain on the speed error."""
+    """With ``proportional-velocity``: gain on the speed error."""
     dac: Dac
 
 
 MOST_ENTRY = 10**12
-"""Largest entry of the matrices of a state-space controller, without sign."""
+"""Largest magnitude of an entry of the matrices of a state-space controller."""
 Entry = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=-MOST_ENTRY, le=MOST_ENTRY)]
 Matrix = tuple[tuple[Entry, ...], ...]
 MOST_STATES = 64
@@ -237,34 +239,35 @@ class StateSpaceController:
     kind: Literal["state-space"]
     """One linear controller of several axes, by the equations above."""
     clock: str
-    """The controller's own tick, a name of ``[clocks]``."""
+    """Clock of the controller's ticks, a name of ``[clocks]``."""
     reference_clock: str | None = None
-    """Clock of the references, where they come more slowly than its own tick. Without it:
+    """Clock of the references, if they come more slowly than the controller's ticks. Without it:
     ``clock``."""
     references: tuple[str, ...] = Field(min_length=1, max_length=6)
-    """Axes that it moves: their commanded positions in counts are its first inputs."""
+    """Axes that the controller moves: their commanded positions in counts are the first inputs."""
     sensors: tuple[str, ...] = Field(min_length=1, max_length=24)
-    """Sensors that it reads: first the encoder of each axis, in the order of ``references``, then
-    any others."""
+    """Sensors that the controller reads: first the encoder of each axis, in the order of
+    ``references``, then any others."""
     drives: tuple[str, ...] = Field(min_length=1)
-    """Motors that it commands, one for each axis, in the order of ``references``."""
+    """Motors that the controller commands, one for each axis, in the order of ``references``."""
     A: Matrix = ()
-    """(states, states) states at the next tick from the states at this one. Without it: no
+    """(states, states) matrix from the states to the states at the next tick. Without it: no
     states."""
     B: Matrix = ()
-    """(states, inputs) states at the next tick from references and readings. Without it: no
-    states."""
+    """(states, inputs) matrix from references and readings to the states at the next tick. Without
+    it: no states."""
     C: Matrix = ()
-    """(drives, states) output in DAC levels from the states. Without it: no states."""
+    """(drives, states) matrix from the states to the outputs in DAC levels. Without it: no
+    states."""
     D: Matrix
-    """(drives, inputs) output in DAC levels from references and readings."""
+    """(drives, inputs) matrix from references and readings to the outputs in DAC levels."""
     L: Matrix = ()
-    """(states, drives) states at the next tick for each level that the DAC's ends took from an
-    output: it keeps integrators and observers from running on. Without it: 0."""
+    """(states, drives) matrix from the levels by which the DAC clamps the outputs to the states at
+    the next tick: anti-windup for integrators and observers. Without it: 0."""
     made: str = ""
-    """Where the numbers come from."""
+    """Source of the numbers."""
     dac: Dac
-    """Its output converters, one for each drive."""
+    """Output converter of each drive; all drives have equal converters."""
 
     @model_validator(mode="after")
     def _sizes(self) -> StateSpaceController:
@@ -304,7 +307,7 @@ class StateSpaceController:
         return self
 
     def matrix(self, name: Literal["A", "B", "C", "D", "L"]) -> FloatArray:
-        """Return a matrix as an array, with 0 where the file leaves it out."""
+        """Return a matrix as an array, zeros if the file leaves it out."""
         n, axes = len(self.A), len(self.references)
         inputs = axes + len(self.sensors)
         shape = {"A": (n, n), "B": (n, inputs), "C": (axes, n), "D": (axes, inputs), "L": (n, axes)}

@@ -1,4 +1,7 @@
-"""Days of a machine at chosen places of their ranges, and machines that each have their own day."""
+"""Days of a machine at given places in their ranges, also a different day for each machine.
+
+A day is a set of values that vary from run to run, see ``vary.Days``.
+"""
 
 from __future__ import annotations
 
@@ -18,17 +21,17 @@ from threadline.machine.vary import (
 )
 
 RANGES_OF_DAYS = 3
-"""Ranges of a day before its encoders: friction, supply, and the brake of a spool."""
+"""Number of ranges of a day besides encoder phases: friction, supply, and the brake of a spool."""
 _RANGES = (FRICTION_OF_DAYS, SUPPLY_OF_DAYS, TENSION_OF_DAYS)
 
 
 def within(ends: tuple[float, float], places: FloatArray) -> FloatArray:
-    """Return factors at places between the ends of a range, 0 to 1."""
+    """Return factors at places in a range: 0 is its lower end, 1 its upper end."""
     return ends[0] + places * (ends[1] - ends[0])
 
 
 def days_at(places: FloatArray) -> Days:
-    """Return days at (k, 3 + axes) places between the ends of their ranges, 0 to 1."""
+    """Return k days at (k, 3 + axes) places in their ranges, each from 0 to 1."""
     friction, supply, tension = (within(ends, places[:, k]) for k, ends in enumerate(_RANGES))
     return Days(
         friction=friction, supply=supply, tension=tension,
@@ -37,7 +40,7 @@ def days_at(places: FloatArray) -> Days:
 
 
 def places_of_days(days: Days) -> FloatArray:
-    """Return (k, 3 + axes) places of days between the ends of their ranges, 0 to 1."""
+    """Return the (k, 3 + axes) places of k days in their ranges, each from 0 to 1."""
     factors = days.friction, days.supply, days.tension
     places = [
         (factor - low) / (high - low) for factor, (low, high) in zip(factors, _RANGES, strict=True)
@@ -63,7 +66,7 @@ def on_days(
 def on_own_days(
     machine: Machine, numbers: Mapping[str, FloatArray], days: Days
 ) -> dict[str, FloatArray]:
-    """Return the numbers of k machines, each on its own of k days: (k,) SI values.
+    """Return the numbers of k machines, machine i on day i: (k,) SI values.
 
     Parameters
     ----------

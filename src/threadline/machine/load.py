@@ -37,7 +37,7 @@ from threadline.machine.pneumatics import switch_faults
 from threadline.machine.tool import EYE_BODY, EYE_PARTS
 
 MISSING = {"missing", "missing_argument", "union_tag_not_found"}
-"""Pydantic's types of error for a missing key."""
+"""Pydantic's error types for a missing key."""
 _SAMPLES = {
     "": "1", "s": "5 ms", "m": "100 mm", "tick": "1e8 tick", "bit": "12 bit",
     "count/rad": "4000 count/rev", "count/m": "100 count/mm", "count/tick": "10 count/tick",
@@ -95,7 +95,7 @@ def missing_keys(
         location = in_file(tagged)
         form = sample(node, _kind(content, location))
         found.append(MissingKey(location, _assigned(location, node, form)))
-    # Pydantic checks rules over several keys only if all keys are valid, which is too late here.
+    # Pydantic checks rules that concern several keys only after all keys are valid: too late here.
     for table in _missing_tables(content) if found else ():
         node = field_node((table,))
         form = sample(node, "linear" if table == "axes" else "")
@@ -178,7 +178,7 @@ def _assigned(location: tuple[str, ...], node: Mapping[str, Any], form: str) -> 
 
 
 def _unit(units: Sequence[str], kind: str) -> str:
-    """Return the unit for the kind of a part, or the first unit for any other kind."""
+    """Return the unit that belongs to the kind of a part, else the first unit."""
     turning = [unit for unit in units if "rad" in unit or "N*m" in unit or "kg*m" in unit]
     if kind == "rotary" and turning:
         return turning[0]
@@ -188,7 +188,7 @@ def _unit(units: Sequence[str], kind: str) -> str:
 
 
 def _kind(content: Mapping[str, Any], location: tuple[str, ...]) -> str:
-    """Return the kind or mode of a key's part; empty if the file does not give it."""
+    """Return the kind or mode of the part that a key belongs to; empty if the file lacks it."""
     part: Any = content
     for key in location[:-1]:
         part = part.get(key, {}) if isinstance(part, Mapping) else {}
@@ -228,7 +228,7 @@ def library_file(name: str) -> Path:
 def overlay_names(reference: str | Path) -> tuple[str, ...]:
     """Return the overlays with which a machine can be loaded.
 
-    A machine inherits the overlays of its base; some may need parts that it does not have.
+    A machine inherits the overlays of its base; some of them may need parts that it does not have.
 
     Raises
     ------
@@ -363,7 +363,10 @@ def _resolve(name: str, seen: tuple[str, ...]) -> tuple[dict[str, Any], str, str
 
 @lru_cache(maxsize=16)
 def _parsed(text: str) -> dict[str, Any]:
-    """Return a parsed text, not to be modified; cached because searches read a base many times."""
+    """Return a parsed TOML text; do not modify it, because it is cached.
+
+    Searches read a base many times.
+    """
     return tomllib.loads(text)
 
 
@@ -371,7 +374,7 @@ def _read(name: str) -> tuple[str, str]:
     if name.endswith(".toml"):
         path = Path(name)
         for specification in (path.with_suffix(".spec.toml"), path.with_name("spec.toml")):
-            note_input(specification)  # an input, because it belongs to the machine
+            note_input(specification)  # the specification beside the file belongs to the machine
         return read_text(path, _MAX_BYTES, MachineError, "machine file"), name
     _check_name(name)
     entry = resources.files("threadline.machine") / "library" / f"{name}.toml"
@@ -401,7 +404,7 @@ def _merge(below: dict[str, Any], above: dict[str, Any]) -> dict[str, Any]:
 
 
 def _without_lost_eye(below: dict[str, Any], above: dict[str, Any]) -> dict[str, Any]:
-    """Return ``below``, with a tool of a radius alone if ``above`` removes an axis of its eye."""
+    """Return ``below``; its eye becomes a plain radius if ``above`` removes an axis of the eye."""
     tool, axes = below.get("tool"), above.get("axes")
     if not isinstance(tool, dict) or not isinstance(axes, dict) or "tool" in above:
         return below
@@ -416,7 +419,7 @@ def _without_lost_eye(below: dict[str, Any], above: dict[str, Any]) -> dict[str,
 def place_in(machine: Machine, key: str) -> Place | None:
     """Return the file and line of ``key``, such as ``"design.settings.crossover"``.
 
-    The line is 0 where a base holds the key; None is returned for a machine without a file.
+    The line is 0 if a base file holds the key. The result is None for a machine without a file.
     """
     if not machine.file:
         return None
@@ -445,10 +448,10 @@ class _Text:
 
 def _refuse(error: ValidationError, content: dict[str, Any], text: _Text) -> NoReturn:
     errors = error.errors(include_url=False)
-    # A misspelt key also causes a "missing" error; the error of the unknown key is more useful.
+    # A misspelt key also causes a "missing" error; the error about the unknown key is more useful.
     unknown = {"unexpected_keyword_argument", "extra_forbidden"}
     first = next((e for e in errors if e["type"] in unknown), errors[0])
-    # Pydantic puts the tag of a union and "[key]" into the location; the file has neither.
+    # Pydantic adds the tag of a union and "[key]" to the location; the file has neither of them.
     tagged = tuple(str(part) for part in first["loc"] if part != "[key]")
     location = in_file(tagged)
     where = ".".join(location)
@@ -476,13 +479,13 @@ def _refuse(error: ValidationError, content: dict[str, Any], text: _Text) -> NoR
     message, remedy = field_fault(first)
     named = _REFERENCE.match(message)
     if not location and named:
-        # Checks of references see the whole machine; their messages begin with the key.
+        # Checks of references run on the whole machine; their messages begin with the key.
         place = text.place(*named[1].split("."), *([named[2]] if named[2] else []))
     said = f"{where}: {message}" if where else message
     named = _DESIGN_KEY.match(message)
     whole = location[:1] in {("design",), ("controllers",)}
     if whole and first["type"] == "value_error" and named:
-        # Checks of a whole table begin their message with the key in it.
+        # Messages of checks of a whole table begin with the key in that table.
         place = text.place(*location, *named[1].split("."))
         said = f"{where}.{message}"
     if first["type"] == "too_long" and isinstance(first["input"], dict):

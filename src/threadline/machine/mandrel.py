@@ -21,11 +21,11 @@ class Mandrel:
     """Radii of a mandrel at positions of a linear axis."""
 
     along: str
-    """The linear axis beside the mandrel: ``"X"``."""
+    """The linear axis along the mandrel: ``"X"``."""
     at: Annotated[tuple[Annotated[Quantity, Units(("m",))], ...], Field(max_length=_MOST_PLACES)]
     """Increasing positions of that axis, at least two."""
     radius: tuple[Annotated[Quantity, Units(("m",), positive=True)], ...]
-    """Radius at each position: a cone between two positions, constant beyond the ends."""
+    """Radius at each position: linear between two positions (a cone), constant beyond the ends."""
 
     @model_validator(mode="after")
     def _a_table(self) -> Mandrel:
@@ -50,7 +50,7 @@ class Mandrel:
 
 @plain_dataclass(frozen=True, slots=True, eq=False)
 class _Cones:
-    """Radius of the axis in column ``turning`` along column ``along``, / its largest radius."""
+    """Radius / largest radius of the rotary axis in column ``turning``, over the axis ``along``."""
 
     turning: int
     along: int
@@ -74,8 +74,8 @@ class LocalRadii:
     """Local radius of each axis as a share of its largest radius, by position.
 
     A small difference of positions, times ``radius_m`` of the path, times the shares at that
-    position, is a length on the surface. Shares are above 0 and at most 1; they are 1 for an axis
-    without a profile.
+    position, gives a length on the surface. Shares are above 0 and at most 1. An axis without a
+    profile has the share 1.
     """
 
     cones: tuple[_Cones, ...]

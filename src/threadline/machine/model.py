@@ -70,7 +70,7 @@ NUMBERED = (
 """Fields of ``Machine`` whose numbers can have tolerances."""
 _WITH_DYNAMICS = ("bodies", "links", "sensors", "controllers", "cylinders", "tables", "design")
 CommandedBy = Literal["ticks", "switches", "steps"]
-"""The kinds of commands of machines."""
+"""The kinds of commands that machines take."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
@@ -138,15 +138,16 @@ class Machine(AxisArrays):
     guide: Guide = Field(default_factory=Guide)
     """Connectors and presets for ``threadline guide``."""
     sha256: str = ""
-    """Hash of the content, base file and overlays included; not in the file, as what follows."""
+    """Hash of the content, including base file and overlays. Machine files have neither this key
+    nor the following ones."""
     file: str = ""
     """Path of the file."""
     reference: str = ""
     """The argument of ``load_machine``."""
     parameters: str = ""
-    """Parameter file whose settings replaced settings of the machine file; empty without one."""
+    """Parameter file whose settings replaced settings of the machine file; empty for none."""
     mounted: Mounted | None = None
-    """Mandrel on the machine; None without one."""
+    """Mandrel on the machine; None for none."""
 
     @model_validator(mode="after")
     def _references(self) -> Machine:
@@ -227,7 +228,7 @@ class Machine(AxisArrays):
             check_known([controller.drive], self.motors, f"{where}.drive", "drive")
 
     def _check_read_once(self, name: str, controller: StateSpaceController) -> None:
-        """Refuse an encoder that another controller reads: its counts are kept for one loop."""
+        """Refuse an additional sensor that is the encoder of another controller's loop."""
         others = controller.sensors[len(controller.references) :]
         for other, one in self.controllers.items():
             if other == name:
@@ -287,7 +288,7 @@ class Machine(AxisArrays):
         check_addresses(self.outputs, self.contacts)
 
     def _check_kinds(self, where: str, cylinder: Cylinder) -> None:
-        """Check that a cylinder and its bodies both turn or both slide, and its frame is in m."""
+        """Check that a cylinder and its bodies all turn or all slide, and the frame is in m."""
         for key in ("pushes", "reacts_on"):
             body = getattr(cylinder, key)
             if self.bodies[body].kind != cylinder.kind:
@@ -328,7 +329,7 @@ class Machine(AxisArrays):
 
     @property
     def unwinds(self) -> bool:
-        """Whether the twin simulates the tension of the fibre: a spool, and a mandrel to wind."""
+        """Whether the twin simulates fibre tension: the machine has a spool and a mandrel."""
         return self.spool is not None and self.mounted is not None
 
     @property
@@ -338,7 +339,7 @@ class Machine(AxisArrays):
 
     @property
     def commanded_by(self) -> CommandedBy:
-        """Kind of its commands, the key of ``KINDS``."""
+        """Kind of its commands; a key of ``KINDS``."""
         if self.shaft is not None:
             return "steps"
         return "switches" if self.cylinders else "ticks"
@@ -367,18 +368,18 @@ class Machine(AxisArrays):
         return frozenset(name for name, kind in kinds.items() if kind == "rotary")
 
     def unit_of(self, axis: str, *, frame: bool = False) -> str:
-        """Return the SI unit of places of an axis or cylinder: ``m`` or ``rad``.
+        """Return the SI unit of positions of an axis or cylinder: ``m`` or ``rad``.
 
-        The frame under a cylinder is in m, whatever moves on it.
+        The position of the frame under a cylinder is in m for both kinds of cylinder.
         """
         return "rad" if axis in self.rotary and not (frame and axis in self.cylinders) else "m"
 
     def usual(self, axis: str) -> tuple[float, str]:
-        """Return the factor from SI to the usual unit of places, and that unit: mm or deg."""
+        """Return the factor from SI to the usual unit of positions, and that unit: mm or deg."""
         return (180.0 / pi, "deg") if axis in self.rotary else (1e3, "mm")
 
     def acts_at_m(self, axis: str) -> float:
-        """Return the distance at which a rotary axis or cylinder does its work, m."""
+        """Return the distance, m, at which a rotary axis or cylinder acts; 1 for a linear axis."""
         if axis in self.cylinders:
             radius = self.cylinders[axis].radius
             assert radius is not None
@@ -387,17 +388,17 @@ class Machine(AxisArrays):
 
     @property
     def motors(self) -> dict[str, DcMotor]:
-        """Drives that a controller commands in volts, by name."""
+        """Motors with control loops, commanded in volts, by name."""
         return {name: d for name, d in self.drives.items() if isinstance(d, DcMotor)}
 
     @property
     def position_sources(self) -> dict[str, Source]:
-        """Position-commanded drives with known loads, by name."""
+        """Position-commanded drives with known loads (steppers and pulse servos), by name."""
         return {n: d for n, d in self.drives.items() if isinstance(d, Stepper | PulseServo)}
 
     @property
     def without_dynamics(self) -> bool:
-        """Whether its file has only limits, and no bodies behind its drives."""
+        """Whether its file has only limits, and no bodies that its drives move."""
         return any(isinstance(drive, Kinematic) for drive in self.drives.values())
 
     @property
@@ -411,7 +412,7 @@ class Machine(AxisArrays):
         return tuple(self.axes)
 
     def controller_of(self, axis: str) -> AxisController | AxisOfStateSpace:
-        """Return the controller that moves an axis, of a state-space controller the axis' part."""
+        """Return the controller that moves an axis; for state space, its part for this axis."""
         controller = self.controllers[self.axes[axis].controller]
         if isinstance(controller, StateSpaceController):
             return controller.of_axis(axis)
@@ -419,7 +420,7 @@ class Machine(AxisArrays):
 
     @property
     def observing(self) -> tuple[str, ...]:
-        """Names of the sensors that are not the encoder of an axis; they are recorded by name."""
+        """Names of sensors other than the encoders of axes; recordings have them by name."""
         loops = [name for name, axis in self.axes.items() if axis.controller]
         taken = {self.controller_of(name).sensor for name in loops}
         return tuple(name for name in self.sensors if name not in taken)
@@ -455,7 +456,7 @@ class Machine(AxisArrays):
 
 
 def clocked(machine: Machine) -> list[tuple[str, str]]:
-    """Return the kind of each controller (and PLC) with the name of its clock.
+    """Return the kind of each controller and of the PLC, with the name of its clock.
 
     >>> from threadline.machine.load import load_machine
     >>> clocked(load_machine("letter-placer"))
@@ -466,14 +467,14 @@ def clocked(machine: Machine) -> list[tuple[str, str]]:
 
 
 def check_dynamics(purpose: str, *machines: Machine | None) -> None:
-    """Refuse a question that needs dynamics for machines that have only limits.
+    """Refuse a calculation that needs dynamics if a machine has only limits.
 
     Parameters
     ----------
     purpose
-        The question, as the subject of a sentence: ``"how axis X swings"``.
+        The calculation, as the subject of a sentence: ``"how axis X swings"``.
     machines
-        The machines; None is skipped.
+        The machines to check; None is skipped.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Settings of the controller: its motion planner, and how it reads part programs."""
+"""Settings of the controller: its motion planner, and its reading of part programs."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ Ring = Annotated[Quantity, Units(("",), positive=True, whole=True, most=4096)]
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
 class Planner:
-    """Common keys of the planners of firmwares."""
+    """Common keys of the motion planners of all firmwares."""
 
     left_out: list[str] = Field(default_factory=list)
-    """Functions of the controller that no plan includes (a mesh, skew, a shaper); every proof names
-    them."""
+    """Functions of the controller that plans leave out (bed mesh, skew correction, input shaper);
+    every proof names them."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
@@ -37,21 +37,21 @@ class GrblPlanner(Planner):
     """The planner of grbl and FluidNC: trapezoidal speed, cornering by junction deviation."""
 
     kind: Literal["grbl"]
-    """grbl, and FluidNC, whose planner is the same."""
+    """grbl, or FluidNC, which has the same planner."""
     junction_deviation: Deviation
-    """Distance between a corner and its circle: ``$11``."""
+    """Distance between a corner and the circle that sets the speed through it: ``$11``."""
     blocks: Ring | None = None
-    """Size of the ring of waiting blocks, one of them always empty. Without it: 16."""
+    """Size of the ring buffer of planned blocks, one of which is always empty. Without it: 16."""
 
     @property
     def look_ahead(self) -> int:
-        """Number of blocks planned together, including the current one."""
+        """Number of blocks planned together, including the block in execution."""
         return max(1, (_RING if self.blocks is None else round(self.blocks.si)) - 1)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
 class MarlinPlanner(Planner):
-    """Marlin's planner: trapezoidal speed, cornering by junction deviation or speed jumps."""
+    """Marlin's planner: trapezoidal speed, cornering by junction deviation or by speed jumps."""
 
     kind: Literal["marlin"]
     """Marlin."""
@@ -62,16 +62,17 @@ class MarlinPlanner(Planner):
     ``junction_deviation``: ``true`` for Marlin up to 2.1.2, and for bugfix-2.1.x up to summer
     2025."""
     jump: dict[str, Jump] = Field(default_factory=dict)
-    """Step of speed that each axis may make at a corner, by letter (``M205 X Y Z``, "jerk").
+    """Largest step of the speed of each axis at a corner, by letter (``M205 X Y Z``, "jerk").
     Without it: ``junction_deviation``."""
     acceleration: Acceleration | None = None
-    """Limit of every move (``M204 T``), besides the limits of the axes."""
+    """Acceleration limit of every move (``M204 T``), besides the limits of the axes."""
     least_speed: Speed | None = None
     """Lowest speed of a move (``M205 T``)."""
     short_time: Annotated[Quantity, Units(("s",), not_negative=True)] | None = None
-    """A shorter move is slowed down while few moves wait (``M205 B``). Without it: 20 ms."""
+    """Shortest time of a move while few moves are queued: a shorter move is slowed down (``M205
+    B``). Without it: 20 ms."""
     blocks: Ring | None = None
-    """Size of the ring of waiting blocks. Without it: 16."""
+    """Size of the ring buffer of planned blocks. Without it: 16."""
 
     @model_validator(mode="after")
     def _one_rule(self) -> MarlinPlanner:
@@ -88,7 +89,7 @@ class MarlinPlanner(Planner):
 
     @property
     def look_ahead(self) -> int:
-        """Number of blocks that are planned together, without the one under way."""
+        """Number of blocks that are planned together, without the block in execution."""
         return max(1, (_RING if self.blocks is None else round(self.blocks.si)) - 2)
 
 
@@ -105,12 +106,12 @@ class KlipperPlanner(Planner):
     square_corner_velocity: Speed
     """Speed through a corner of 90 degrees."""
     minimum_cruise_ratio: Annotated[Quantity, Units(("",), not_negative=True)] | None = None
-    """Least share of a move at constant speed. Without it: 0.5."""
+    """Smallest share of a move's length at constant speed. Without it: 0.5."""
     jump: dict[str, Jump] = Field(default_factory=dict)
-    """Step of speed that an axis other than X, Y and Z may make at a corner, by letter
+    """Largest step of the speed at a corner, for each axis other than X, Y and Z, by letter
     (``INSTANTANEOUS_CORNER_VELOCITY``). Without it: 1 mm/s, 1 deg/s."""
     alone: dict[str, AloneAcceleration] = Field(default_factory=dict)
-    """Acceleration of such an axis in moves without X, Y and Z, by letter (``accel`` of
+    """Acceleration limit in moves without X, Y and Z, for each other axis, by letter (``accel`` of
     ``[manual_stepper]``). Without it: the acceleration of the axis."""
 
     @model_validator(mode="after")
@@ -134,14 +135,14 @@ class RepRapPlanner(Planner):
     kind: Literal["reprapfirmware"]
     """RepRapFirmware."""
     jump: Annotated[dict[str, Jump], Field(min_length=1)]
-    """Step of speed that each axis may make at a corner, by letter (``M566``, there in mm/min)."""
+    """Largest step of the speed of each axis at a corner, by letter (``M566``, in mm/min there)."""
     policy: Annotated[Quantity, Units(("",), not_negative=True, whole=True, most=1)] | None = None
     """``M566 P``: with 0 the machine stops between a move with X or Y and a move of other axes,
     with 1 it does not. Without it: 0."""
     acceleration: Acceleration | None = None
-    """Limit of moves with X or Y (``M204 T``), besides the limits of the axes."""
+    """Acceleration limit of moves with X or Y (``M204 T``), besides the limits of the axes."""
     blocks: Ring | None = None
-    """Size of the ring of waiting moves: 60 of a Duet 3, 40 of a Duet 2. Without it: 60."""
+    """Size of the ring buffer of planned moves: 60 on a Duet 3, 40 on a Duet 2. Without it: 60."""
 
     @property
     def joins_all(self) -> bool:
@@ -150,7 +151,7 @@ class RepRapPlanner(Planner):
 
     @property
     def look_ahead(self) -> int:
-        """Number of blocks that are planned together, without the one under way."""
+        """Number of blocks that are planned together, without the block in execution."""
         return max(1, (_DUET_RING if self.blocks is None else round(self.blocks.si)) - 2)
 
 
@@ -161,13 +162,13 @@ class LinuxCncPlanner(Planner):
     kind: Literal["linuxcnc"]
     """LinuxCNC."""
     tolerance: Deviation | None = None
-    """P of ``G64 P``. Without it: accelerations alone limit the rounding of corners, as after
-    ``G64``."""
+    """P of ``G64 P``: largest deviation from the path. Without it: only the accelerations limit the
+    rounding of corners, as after ``G64``."""
     cam_tolerance: Deviation | None = None
-    """Q of ``G64 P Q``: moves of X, Y and Z within it of one line become one move; 0 for none.
-    Without it: ``tolerance``."""
+    """Q of ``G64 P Q``: successive moves of X, Y and Z that deviate less from one straight line
+    become one move; 0 for none. Without it: ``tolerance``."""
     exact_stop: StrictBool = False
-    """Whether every move ends at rest unless the next goes straight on, as after ``G61``."""
+    """Whether every move ends at rest, unless the next move goes straight on, as after ``G61``."""
 
     @model_validator(mode="after")
     def _one_mode(self) -> LinuxCncPlanner:
@@ -243,17 +244,17 @@ ToolLength = Annotated[Quantity, Units(("m",))]
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
 class Programs:
-    """How the controller of the machine reads part programs."""
+    """Settings with which the controller of the machine reads part programs."""
 
     dialect: DialectName = "winder"
-    """Meaning of the words of a program."""
+    """Dialect: the meaning of the words of a program."""
     feed_mode: FeedRule | None = None
-    """Rule by which F is a speed. Without it: the rule of the dialect."""
+    """Rule that turns an F word into a speed. Without it: the rule of the dialect."""
     base_axes: tuple[Annotated[str, Field(pattern=r"^[A-Z]$")], ...] = ()
-    """Axes whose speed F is under the rule ``base-axes``: ``["A", "X"]``."""
+    """Axes whose joint speed F gives under the rule ``base-axes``: ``["A", "X"]``."""
     offsets: dict[System, dict[str, Offset]] = Field(default_factory=dict)
-    """Origins of G54 to G59 in machine coordinates: ``G55 = { X = "120 mm exact, assumed" }``; an
-    axis that is not named has 0."""
+    """Origins of G54 to G59 in machine coordinates: ``G55 = { X = "120 mm exact, assumed" }``. The
+    offset of an axis that is not named is 0."""
     lengths: dict[ToolNumber, ToolLength] = Field(default_factory=dict)
     """Lengths of the tools of ``G43 H``, as in the tool table of the control:
     ``H1 = "52.3 mm exact, measured: tool table"``."""

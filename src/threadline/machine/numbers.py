@@ -27,7 +27,7 @@ def schema() -> dict[str, Any]:
 
 
 def field_node(location: tuple[str, ...]) -> dict[str, Any]:
-    """Return the schema of the key at ``location``; empty where there is no such key.
+    """Return the schema of the key at ``location``; empty if there is no such key.
 
     Parameters
     ----------
@@ -52,9 +52,9 @@ def field_names(location: tuple[str, ...]) -> list[str]:
 
 
 def kinds_with(location: tuple[str, ...]) -> list[str]:
-    """Return the kinds of a part that have the last key of ``location``, which its kind lacks.
+    """Return the kinds of a part that have the last key of ``location``.
 
-    Empty for a part without kinds.
+    The present kind of the part lacks this key. The result is empty for a part without kinds.
     """
     among, key = location[:-2], location[-1]
     kinds = field_node(among).get("discriminator", {}).get("mapping", {})
@@ -75,7 +75,7 @@ def plain_node(node: Any) -> dict[str, Any]:
 
 
 def in_file(location: tuple[str, ...]) -> tuple[str, ...]:
-    """Return ``location`` as in the file, without the kind of a controller, drive or sensor."""
+    """Return ``location`` as in the file: without the kind of a controller, drive or sensor."""
     tagged = len(location) > 2 and location[0] in {"controllers", "drives", "sensors"}
     return location[:2] + location[3:] if tagged else location
 
@@ -86,8 +86,8 @@ def line_of(text: str, location: tuple[str, ...], overlays: Sequence[str] = ()) 
     Parameters
     ----------
     overlays
-        Applied overlays of the file. The last one that contains at least as much of ``location`` as
-        the file itself gives the line.
+        Applied overlays of the file. The line comes from the last overlay that contains at least as
+        many keys of ``location`` as the file itself; else from the file itself.
     """
     best, best_depth = _deepest(text, location)
     for overlay in overlays:
@@ -102,7 +102,7 @@ def _deepest(text: str, location: tuple[str, ...]) -> tuple[int, int]:
     table: tuple[str, ...] = ()
     best, best_depth = 0, 0
     for number, line in enumerate(text.splitlines(), start=1):
-        # A row of an array, [1.0, 2.0], is no header.
+        # A row of an array, [1.0, 2.0], is not a header.
         header = re.match(r"\s*\[\[?([A-Za-z][^\],]*)\]\]?\s*(?:#.*)?$", line)
         key = re.match(r'\s*("?[A-Za-z0-9_.-]+"?)\s*=', line)
         if header:
@@ -189,8 +189,8 @@ def _whole_numbers(kind: Any) -> frozenset[str]:
 def with_numbers(machine: Machine, numbers: Mapping[str, float]) -> Machine:
     """Return ``machine`` with new numbers (SI, by dotted names) and a new hash.
 
-    Relative tolerances are kept. A time is converted to an exact fraction of a second, within 1e-18
-    s.
+    Relative tolerances are kept. A time becomes an exact fraction of a second that differs from the
+    given number by less than 1e-18 s.
 
     Raises
     ------
@@ -211,7 +211,7 @@ def with_numbers(machine: Machine, numbers: Mapping[str, float]) -> Machine:
         )
     note = repr(sorted((path, float(value)) for path, value in numbers.items()))
     new["sha256"] = hashlib.sha256((machine.sha256 + note).encode()).hexdigest()
-    # All at once: a check of two related numbers may refuse one without the other.
+    # Replace all numbers at once: a check of two related numbers may refuse one new number alone.
     made: Machine = _replaced(machine, new)
     return made
 

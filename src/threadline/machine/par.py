@@ -51,7 +51,8 @@ def read_parameters(path: str | Path, machine: Machine) -> Machine:
     path
         The parameter file.
     machine
-        Machine with all other numbers. If the file gives fewer axes, the first ones are kept.
+        Machine with all other numbers. If the file gives fewer axes, the machine's first axes are
+        kept.
 
     Raises
     ------

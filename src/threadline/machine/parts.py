@@ -1,7 +1,7 @@
 """The parts of a machine: bodies and links between them, drives, sensors, axes, switches.
 
-Every part is data from the machine file. A machine is a network: each body has one coordinate, and
-each link a stretch that is a weighted sum of coordinates. A belt between motor, head and frame, a
+Every part is data from the machine file. A machine is a network. Each body has one coordinate. Each
+link has a stretch, which is a weighted sum of coordinates. A belt between motor, head and frame, a
 rack on the ground, and a gear are links with different weights.
 """
 
@@ -40,7 +40,7 @@ def _weighing(coefficients: dict[str, Quantity]) -> dict[str, Quantity]:
 
 
 Rounding = Literal["nearest", "floor", "truncate"]
-"""Direction of rounding: to the nearest whole number, down, or towards zero."""
+"""Rounding to the nearest whole number, down, or towards zero."""
 Weights = Annotated[dict[str, Coefficient], Field(min_length=1), AfterValidator(_weighing)]
 """Weights of coordinates in a stretch, a load or a direction of force; at least one is not 0."""
 
@@ -50,13 +50,13 @@ class Body:
     """A mass with one coordinate (m or rad), counted from the start position of the machine."""
 
     kind: Literal["linear", "rotary"]
-    """Whether the coordinate is in m or rad; it is 0 where the machine starts."""
+    """Whether the coordinate is in m or rad; it is 0 at the start position of the machine."""
     inertia: Annotated[Quantity, Units(("kg", "kg*m^2"), positive=True)]
-    """Mass, or moment of inertia, of all that moves with the coordinate."""
+    """Mass, or moment of inertia, of everything that moves with the coordinate."""
     damping: Annotated[Quantity, Units(("N*s/m", "N*m*s/rad"), not_negative=True)] | None = None
     """Viscous friction to the ground. Without it: 0."""
     friction: Annotated[Quantity, Units(("N", "N*m"), not_negative=True)] | None = None
-    """Constant force against sliding. Without it: 0."""
+    """Coulomb friction: constant force against the motion. Without it: 0."""
     stiction: Annotated[Quantity, Units(("N", "N*m"), not_negative=True)] | None = None
     """Force at breakaway, at least ``friction``. Without it: ``friction``."""
 
@@ -80,39 +80,40 @@ class Body:
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
 class Eccentric:
-    """An eccentric gear, by which the play of a link becomes ``play + width cos(angle)``."""
+    """An eccentric gear, which makes the play of a link ``play + width cos(angle)``."""
 
     angle: dict[str, Annotated[Quantity, Units(("", "rad/m"))]] = Field(min_length=1)
     """Weight of each coordinate in the gear's angle, which is in rad."""
     width: Annotated[Quantity, Units(("m", "rad"), positive=True)]
     """Amplitude by which the full width of the play varies, at most ``play``."""
     phase: Annotated[Quantity, Units(("rad",))]
-    """The gear's angle where the machine starts."""
+    """The gear's angle at the start position of the machine."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
 class Link:
     """A spring and damper whose stretch is ``sum(coefficient * coordinate)``.
 
-    With ``preload`` it is a belt of two runs.
+    With ``preload`` the link is a belt with two runs.
     """
 
     stretch: Weights
     """Weight of each body's coordinate in the stretch: ``{ motor = "...", head = "-1 ..." }``. A
-    link with one body holds it to the ground."""
+    link with only one body connects this body to the ground."""
     stiffness: Annotated[Quantity, Units(("N/m", "N*m/rad"), not_negative=True, certain=True)]
     """Force per stretch."""
     damping: Annotated[Quantity, Units(("N*s/m", "N*m*s/rad"), not_negative=True)] | None = None
     """Force per rate of stretch. Without it: 0."""
     preload: Annotated[Quantity, Units(("N", "N*m"), not_negative=True)] | None = None
-    """Tension at rest of a belt, which is two runs: each run is slack once its share of the tension
-    is gone. Without it: never slack."""
+    """Tension of each of the two runs of a belt at rest. A run falls slack when its tension falls
+    to 0. Without it: never slack."""
     play: Annotated[Quantity, Units(("m", "rad"), not_negative=True)] | None = None
     """Full width of the dead band. Without it: 0."""
     first_run: Annotated[Quantity, Units(("",), positive=True)] | None = None
-    """Share of the stiffness in the run that a positive stretch tightens. Without it: a half."""
+    """Share of the stiffness that is due to the run that a positive stretch tightens. Without it: a
+    half."""
     eccentric: Eccentric | None = None
-    """An eccentric gear: the play varies as it turns."""
+    """An eccentric gear: the play varies as the gear turns."""
 
     @model_validator(mode="after")
     def _consistent(self) -> Link:
@@ -143,7 +144,7 @@ class Amplifier:
     """An amplifier: the controller's voltage sets a voltage or a current."""
 
     mode: Literal["voltage", "current"]
-    """What the output follows: the input sets a voltage or a current."""
+    """Quantity that the input sets: the output voltage or the output current."""
     gain: Annotated[Quantity, Units(("", "A/V"), positive=True)]
     """Volts per volt (a plain number) in mode ``voltage``, amperes per volt in mode ``current``."""
     voltage_limit: Annotated[Quantity, Units(("V",), positive=True)] | None = None
@@ -151,13 +152,14 @@ class Amplifier:
     current_limit: Annotated[Quantity, Units(("A",), positive=True)] | None = None
     """Highest output current."""
     limits: Literal["state", "output"] = "state"
-    """How the current of a motor with ``inductance`` is limited: ``state`` holds the current itself
-    at the limit, ``output`` clips the output of an integrator that runs on."""
+    """How the current of a motor with ``inductance`` is limited. ``state``: the current itself
+    stays at the limit. ``output``: the current that acts is clipped, but the integrated current is
+    not limited."""
     reserve: Annotated[Quantity, Units(("",), not_negative=True, most=0.9)] | None = None
-    """Share of voltage and current that ``--interpolation optimal`` leaves to the loop, at most 90
-    %. Without it: 10 %."""
+    """Share of voltage and current that ``--interpolation optimal`` reserves for the control loop,
+    at most 90 %. Without it: 10 %."""
     current_reserve: Annotated[Quantity, Units(("",), not_negative=True, most=0.9)] | None = None
-    """Another share for the current. Without it: ``reserve``."""
+    """Reserved share of the current, if it differs. Without it: ``reserve``."""
 
     @model_validator(mode="after")
     def _gain_unit(self) -> Amplifier:
@@ -175,13 +177,13 @@ class DcMotor:
     """A permanent-magnet motor with its amplifier, acting on bodies."""
 
     kind: Literal["dc-motor"]
-    """A motor with permanent magnets, brushed, or a servo that behaves like one."""
+    """A brushed motor with permanent magnets, or a servo motor that behaves like one."""
     acts_on: Weights
-    """The bodies that the motor turns, each with its weight: 1 for its own rotor."""
+    """The bodies that the motor moves, each with its weight: 1 for its own rotor."""
     torque_constant: Annotated[Quantity, Units(("N*m/A", "N/A"), positive=True)]
     """Torque per ampere; force per ampere of a linear motor."""
     back_emf: Annotated[Quantity, Units(("V*s/rad", "V*s/m"), not_negative=True)]
-    """Voltage per speed."""
+    """Induced voltage per speed."""
     resistance: Annotated[Quantity, Units(("ohm",), positive=True)]
     """Resistance of the winding and its leads."""
     inductance: Annotated[Quantity, Units(("H",), positive=True)] | None = None
@@ -197,11 +199,11 @@ class Encoder:
     """An encoder whose reading is ``sum(resolution * coordinate)`` in whole counts."""
 
     kind: Literal["encoder"]
-    """An encoder, which control loops may read: at a motor, or a scale at the head."""
+    """An encoder at a motor, or a scale at the head; control loops may read it."""
     reads: dict[str, Resolution] = Field(min_length=1)
-    """Counts per unit of each body's coordinate; the reading is a whole number."""
+    """Counts per unit of each body's coordinate; the reading is a whole number of counts."""
     rounding: Rounding = "nearest"
-    """Reading of a position between two counts: the nearest count, the count below (``floor``), or
+    """Reading at a position between two counts: the nearest count, the count below (``floor``), or
     the count towards zero (``truncate``)."""
 
 
@@ -214,12 +216,13 @@ class Potentiometer:
     reads: dict[str, Sensitivity] = Field(min_length=1)
     """Voltage per unit of each body's coordinate."""
     range: Annotated[Quantity, Units(("V",), positive=True)] | None = None
-    """Largest voltage to either side of the start; beyond it the reading stays there. Without it:
-    no limit."""
+    """Largest magnitude of the reading, counted from the start; the reading is clamped to it.
+    Without it: no limit."""
     resolution: Annotated[Quantity, Units(("V",), positive=True)] | None = None
-    """Step of its converter: the reading is the nearest whole multiple. Without it: no rounding."""
+    """Step of the converter: the reading is rounded to a multiple of it. Without it: no rounding.
+    """
     noise: Annotated[Quantity, Units(("V",), not_negative=True)] | None = None
-    """Standard deviation of its noise, drawn anew for every reading. Without it: 0."""
+    """Standard deviation of the noise, drawn anew for every reading. Without it: 0."""
 
 
 Acceleration = Annotated[Quantity, Units(("m/s^2", "rad/s^2"), positive=True)]
@@ -232,14 +235,15 @@ class Accelerometer:
     kind: Literal["accelerometer"]
     """An accelerometer; a state-space controller may read it."""
     reads: Weights
-    """Bodies whose acceleration it feels, each with its weight: 1 for a sensor that sits on it."""
+    """Bodies whose acceleration the sensor measures, each with its weight: 1 for a sensor that is
+    fixed to the body."""
     range: Acceleration | None = None
-    """Largest acceleration to either side; beyond it the reading stays there. Without it: no
-    limit."""
+    """Largest magnitude of the reading; the reading is clamped to it. Without it: no limit."""
     resolution: Acceleration | None = None
-    """Step of its converter: the reading is the nearest whole multiple. Without it: no rounding."""
+    """Step of the converter: the reading is rounded to a multiple of it. Without it: no rounding.
+    """
     noise: Annotated[Quantity, Units(("m/s^2", "rad/s^2"), not_negative=True)] | None = None
-    """Standard deviation of its noise, drawn anew for every reading. Without it: 0."""
+    """Standard deviation of the noise, drawn anew for every reading. Without it: 0."""
 
 
 Sensor = Annotated[Encoder | Potentiometer | Accelerometer, Field(discriminator="kind")]
@@ -254,7 +258,7 @@ class Axis:
     controller: str = ""
     """The controller that moves the axis. Without it: ``drive``."""
     drive: str = ""
-    """The stepper, pulse servo or kinematic drive that takes its positions. Without it:
+    """The stepper, pulse servo or kinematic drive that takes the positions of the axis. Without it:
     ``controller``."""
     counts: Resolution
     """Counts of the encoder, or microsteps, per unit of the axis."""
@@ -265,30 +269,30 @@ class Axis:
     deceleration: Annotated[Quantity, Units(("m/s^2", "rad/s^2"), positive=True)] | None = None
     """Limit of braking. Without it: ``acceleration``."""
     jerk: Annotated[Quantity, Units(("m/s^3", "rad/s^3"), positive=True)] | None = None
-    """Limit of the jerk. Without it: accelerations may step."""
+    """Limit of the jerk. Without it: the acceleration may step."""
     travel: tuple[Position, Position] | None = None
     """Lowest and highest position: ``["-500 mm ...", "500 mm ..."]``. Without it: ``endless``."""
     stroke: Position | None = None
-    """Distance between the two ends of an axis on which jobs begin anywhere; no job may span more.
-    Without it: only ``travel`` limits a job."""
+    """Distance between the two ends of an axis on which a job may begin anywhere: the largest span
+    of a job. Without it: only ``travel`` limits a job."""
     endless: StrictBool = False
     """Whether the axis turns without end and has no ``travel``."""
     wrapped: StrictBool = False
-    """Whether LinuxCNC reads the angles of an endless rotary axis in one turn, as with its
-    ``WRAPPED_ROTARY``: in G90 an angle is below 360 degrees, and its sign says which way the axis
-    turns to it."""
+    """Whether LinuxCNC reads the angles of an endless rotary axis modulo one turn, as with its
+    setting ``WRAPPED_ROTARY``: in G90 an angle is below 360 degrees, and its sign gives the
+    direction in which the axis turns to it."""
     radius: Annotated[Quantity, Units(("m",), positive=True)] | None = None
     """Distance at which a rotary axis acts on the work: the mandrel's radius, or half of the band's
     width for an eye that rolls. Without it: ``radius`` of ``[tool]``."""
     profile: Mandrel | None = None
     """Radius of a mandrel along a linear axis, in place of ``radius``."""
     load: Weights | None = None
-    """Position of the mass that does the work, in axis units: weights of the bodies, including
-    those that hold the work. The load is judged. A head over cloth that is clamped to a springy
-    frame is judged relative to that frame (``stitcher+cloth-on-frame``). Without it: the position
-    that the encoder or drive counts, unrounded."""
+    """Position of the mass that does the work, in axis units, by weights of the bodies. This
+    position is judged. If another body holds the work, its weight is included: a head over cloth on
+    a springy frame is judged relative to the frame (``stitcher+cloth-on-frame``). Without it: the
+    position that the encoder or drive counts, unrounded."""
     frame: Weights | None = None
-    """Position of the machine's frame, in the same form. Without it: not recorded."""
+    """Position of the machine's frame, in the form of ``load``. Without it: not recorded."""
     working_velocity: Annotated[Quantity, Units(("m/s", "rad/s"), positive=True)] | None = None
     """Speed of daily work, for warnings."""
 
@@ -353,7 +357,7 @@ class LimitSwitch:
 class SupplyCut(LimitSwitch):
     """A switch that cuts the supply of a drive on purpose, within the travel of its axis.
 
-    No machine file has one: an experiment adds it.
+    A machine file cannot have such a switch; an experiment adds it.
     """
 
 
@@ -362,8 +366,8 @@ def switches_in_the_way(
 ) -> Iterator[tuple[str, str, str]]:
     """Yield key, fault and remedy of each limit switch within the travel of its axis.
 
-    Such a switch would cut the supply of a motor during a motion within all limits. Call this for
-    the nominal machine only: a variant within the tolerances may have a switch a little nearer.
+    Such a switch would cut the supply of a motor during a motion that keeps all limits. Call this
+    for the nominal machine only: a switch of a variant within the tolerances may be closer.
     """
     for name, switch in inputs.items():
         axis = axes[switch.axis]
@@ -393,18 +397,19 @@ class Operator:
     """The operator's settings, as in the parameter file of the 1994 controller."""
 
     normal_feed: Annotated[Quantity, Units(("count/tick",), positive=True)]
-    """Caps every programmed feed, counted on the fastest axis, unless ``--feed`` is given; it is
-    also the feed of a move without F. Only this machine has it, not one that is based on it."""
+    """Upper limit of every programmed feed, measured on the fastest axis, unless ``--feed`` is
+    given; also the feed of a move without F. A machine that is based on this one does not inherit
+    it."""
     record_every: Annotated[Quantity, Units(("tick",), positive=True, whole=True)]
-    """Ticks between two positions of the 1994 recording, in what ``prove`` reports of it; the
-    simulation records every tick."""
+    """Ticks between two positions of the 1994 recording, as ``prove`` reports it; the simulation
+    records every tick."""
     manual_feed: Annotated[Quantity, Units(("count/tick",), positive=True)] | None = None
-    """Feed of hand control; nothing uses it."""
+    """Feed of manual control; nothing uses it."""
     limit_feed: Annotated[Quantity, Units(("count/tick",), positive=True)] | None = None
-    """Highest value that a parameter file may give the other two feeds; it caps no plan."""
+    """Largest value of the other two feeds in a parameter file; it does not limit a plan."""
     knots_between: Annotated[Quantity, Units(("",), positive=True, whole=True)] | None = None
-    """Points that the 1994 controller put between two points of a spline; nothing uses it, because
-    splines here are exact."""
+    """Number of points that the 1994 controller inserted between two points of a spline; nothing
+    uses it, because splines are exact here."""
 
 
 def check_known(names: Iterable[str], among: Iterable[str], where: str, what: str) -> None:
@@ -439,17 +444,17 @@ class Connector:
     """A connector: its purpose and location, and the signal at each used pin."""
 
     title: GuideText
-    """Purpose and place of the connector."""
+    """Purpose and location of the connector."""
     pins: dict[_Pin, GuideText] = Field(min_length=1)
     """The signal at each used pin: ``{ 1 = "opto-switch, Y axis" }``."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
 class Guide:
-    """Additional content of ``threadline guide``, which cannot be derived from other parts."""
+    """Content of ``threadline guide`` that cannot be derived from the other parts."""
 
     presets: tuple[GuideText, ...] = ()
-    """Steps that the manual of the drives asks for, before the general steps."""
+    """Steps that the manual of the drives requires before the general steps."""
     connectors: dict[Annotated[str, Field(pattern=r"^[A-Za-z0-9-]{1,20}$")], Connector] = Field(
         default_factory=dict
     )

@@ -1,11 +1,12 @@
 """Parts of an on/off machine: cylinders, valves that set their speed, contacts and the PLC.
 
-A flow control behind an open valve lets the exhaust out at a set rate. The open valves therefore
-set the *speed* of the piston, not its force: ``speed`` times the sum of their flows, because flow
-controls of one direction work in parallel. Every subset of them gives a speed level.
+A flow control after an open valve lets the exhaust out at a set rate. The open valves therefore set
+the *speed* of the piston and not its force. The speed is ``speed`` times the sum of the open flows,
+because flow controls of one direction work in parallel. Every subset of these flow controls gives a
+speed level.
 
-A rotary cylinder (a vane, or pistons on a rack) is the same with angles: its stroke, speed and
-switches are in rad, its forces are torques.
+A rotary cylinder (a vane, or pistons on a rack) has the same equations with angles: its stroke,
+speed and switches are in rad, and its forces are torques.
 """
 
 from __future__ import annotations
@@ -23,18 +24,19 @@ from threadline.machine.quantity import Quantity, Units
 
 Length = Annotated[Quantity, Units(("m", "rad"), positive=True)]
 ShortTime = Annotated[Quantity, Units(("s",), positive=True, most=100.0)]
-"""A delay or lag of compressed air, of at most 100 s; one second is long."""
+"""A delay or lag of compressed air, at most 100 s; one second is already a long lag."""
 ATMOSPHERE_PA = 101_325.0
 SPRING_OF_FORCE = 5.6
-"""Stiffness of the air in the middle of a stroke, times the stroke, over the force that the
-absolute pressure gives: 1.4 p A (1/l1 + 1/l2) with both lengths half of the stroke."""
+"""Dimensionless stiffness of the air in the middle of a stroke: stiffness times stroke / (p A), the
+force of the absolute pressure. The stiffness is 1.4 p A (1/l1 + 1/l2), and both chambers are half a
+stroke long."""
 REST_LAGS = 4.0
-"""Time after the end of the flow, in lags, until a cylinder is at rest within 2 %."""
+"""Time from the end of the flow, in time constants, until a cylinder is at rest within 2 %."""
 MOST_SCANS = 100
-"""Longest watchdog, in scans. Plants use a few scans; a longer watchdog protects nothing."""
+"""Longest watchdog, in scans. Plants use a few scans; a longer watchdog would not protect them."""
 TIMES = (".delay", ".opens", ".closes")
-"""Last parts of the paths of numbers that are instants of a simulation."""
-# A byte and its bit, or the number of a bit. No leading zeros, so each bit has one spelling.
+"""Last parts of the dotted names of numbers that set instants of a simulation."""
+# A byte and its bit, or the number of a bit. No leading zeros, so that each bit has one spelling.
 InputAddress = Annotated[str, Field(pattern=r"^%IX(0|[1-9][0-9]{0,3})(\.[0-7])?$")]
 OutputAddress = Annotated[str, Field(pattern=r"^%QX(0|[1-9][0-9]{0,3})(\.[0-7])?$")]
 Fraction = Annotated[Quantity, Units(("",), positive=True)]
@@ -49,10 +51,10 @@ class Output:
     address: OutputAddress
     """Address in the PLC, ``%QX0.1``: byte and bit, 0 to 7, without leading zeros."""
     ramp: PositiveTime | None = None
-    """Time in which a soft-start valve gives full pressure; the upper end of its tolerance is
-    waited for. Without it: no soft-start valve."""
+    """Time in which a soft-start valve builds up full pressure; the program waits for the upper end
+    of its tolerance. Without it: no soft-start valve."""
     needs: tuple[str, ...] = ()
-    """Interlock of a tool or a vacuum: end switches that are on while the output is on."""
+    """Interlock of a tool or a vacuum: end switches that must be on while the output is on."""
 
     @property
     def ramp_s(self) -> float:
@@ -76,17 +78,17 @@ class Contact:
 
     kind: Literal["light-grid", "enable", "start", "acknowledge", "home", "contact"]
     """Purpose of the input: ``light-grid`` and ``enable`` are true while the machine may move,
-    ``start`` asks for a cycle, ``home`` for the way home, ``acknowledge`` clears a fault, and
-    ``contact`` is anything else."""
+    ``start`` asks for a cycle, ``home`` asks for a return to the home position, ``acknowledge``
+    clears a fault, and ``contact`` is any other input."""
     address: InputAddress
     """Address in the PLC, ``%IX0.1``: byte and bit, 0 to 7, without leading zeros."""
     cylinder: str | None = None
-    """The cylinder of an end switch, with ``at`` and ``beyond``."""
+    """For an end switch: its cylinder. ``at`` and ``beyond`` come with it."""
     at: Annotated[Quantity, Units(("m", "rad"), not_negative=True)] | None = None
-    """Position at which the end switch closes: inside the stroke by more than its tolerance, and
-    never where a switch of the other end is closed."""
+    """For an end switch: position at which it closes. This position is inside the stroke by more
+    than its tolerance, and no switch of the other end is closed there."""
     beyond: Literal["below", "above"] | None = None
-    """On which side of ``at`` the end switch is closed."""
+    """For an end switch: the side of ``at`` on which it is closed."""
 
     @model_validator(mode="after")
     def _complete(self) -> Contact:
@@ -100,17 +102,19 @@ class Contact:
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
 class Way:
-    """One direction of a cylinder: the valve that selects it, and its flow controls."""
+    """One direction of motion of a cylinder: the valve that selects it, and its flow controls."""
 
     valve: str
-    """The output of kind ``direction`` that opens this direction."""
+    """The output of kind ``direction`` that selects this direction."""
     flows: dict[str, Fraction] = Field(min_length=1)
-    """Outputs of kind ``flow``, each with its share of ``speed``; shares of open outputs add up."""
+    """Outputs of kind ``flow``, each with its share of ``speed``; the shares of outputs that are on
+    add up."""
     opens: ShortTime | None = None
-    """Time from the command of one of these valves to its flow, besides ``delay``. Without it: 0.
-    """
+    """Time from the command of one of these valves to its flow, in addition to ``delay``. Without
+    it: 0."""
     closes: ShortTime | None = None
-    """Time from the end of the command to the end of the flow, besides ``delay``. Without it: 0."""
+    """Time from the end of the command to the end of the flow, in addition to ``delay``. Without
+    it: 0."""
 
     def levels(self) -> dict[tuple[str, ...], float]:
         """Return every set of open flow controls, including the empty set, with its level."""
@@ -143,21 +147,21 @@ class Way:
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
 class Cushion:
-    """End cushioning: over the end of the stroke the exhaust is throttled.
+    """End cushioning: the exhaust is throttled over the last part of the stroke.
 
-    A piston with metered exhaust moves at the speed of the flow, independent of the opposing force,
-    so a cushion slows it by reducing the flow.
+    A piston with metered exhaust moves at the speed of the flow, whatever force opposes it. A
+    cushion therefore slows the piston by reducing the flow.
     """
 
     length: Length
     """Length of the throttled end of the stroke."""
     flow: Fraction
-    """Share to which the exhaust is throttled."""
+    """Share of the flow that the throttled exhaust lets through."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
 class Torque:
-    """Torque of a rotary cylinder, by a vane or by pistons on a rack: pressure, area, radius."""
+    """Torque of a rotary cylinder with a vane, or with pistons on a rack."""
 
     pressure: Annotated[Quantity, Units(("Pa",), positive=True, most=5e6)]
     """Gauge pressure of the supply."""
@@ -170,36 +174,38 @@ class Torque:
 
     @property
     def lever_m3(self) -> float:
-        """Torque over pressure, m^3."""
+        """Torque / pressure, m^3."""
         return self.area.si * self.radius.si * (1.0 if self.pistons is None else self.pistons.si)
 
     @property
     def torque_n_m(self) -> float:
-        """Torque at standstill, the exhaust empty, N m."""
+        """Torque at standstill with an empty exhaust, N m."""
         return self.pressure.si * self.lever_m3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
 class Cylinder:
-    """A pneumatic axis: valves set the speed of a flow, which moves the piston by an air spring.
+    """A pneumatic axis: valves set the speed of a flow, which moves the piston.
 
-    The air is a spring with a damper between flow and piston.
+    The air between flow and piston is a spring with a damper.
     """
 
     kind: Literal["linear", "rotary"] = "linear"
-    """``rotary`` for a vane, or pistons on a rack: its stroke is an angle, and the bodies that it
-    pushes and reacts on are rotary. Without it: linear."""
+    """``rotary`` for a vane, or for pistons on a rack: the stroke is an angle, and both bodies
+    (``pushes``, ``reacts_on``) are rotary. Without it: linear."""
     radius: Annotated[Quantity, Units(("m",), positive=True)] | None = None
-    """Distance from its shaft at which a rotary cylinder does its work. A linear one has none."""
+    """Distance from the shaft at which a rotary cylinder does its work; not for a linear cylinder.
+    """
     pushes: str
     """The body that the piston pushes."""
     reacts_on: str
-    """The body that the cylinder is fixed to. A link, or a chain of links, joins it with
+    """The body that the cylinder is fixed to. A link, or a chain of links, connects this body with
     ``pushes``; the stiffness of a link between the two may be 0."""
     frame: Weights
-    """Position whose vibration is judged, m: weights of the bodies, in m/rad of rotary ones."""
+    """Position whose vibration is judged, in m: weights of the bodies, in m/rad for rotary bodies.
+    """
     stroke: Length
-    """The piston moves from 0 to here."""
+    """Largest position of the piston; the smallest is 0."""
     speed: Annotated[Quantity, Units(("m/s", "rad/s"), positive=True)]
     """Speed of the piston with all flow controls of a direction open (level 1)."""
     forward: Way
@@ -209,17 +215,17 @@ class Cylinder:
     delay: ShortTime
     """Time from a valve's command to the first flow."""
     lag: ShortTime
-    """Time constant with which the speed follows."""
+    """Time constant of the first-order lag from the flow command to the speed."""
     air_stiffness: Annotated[Quantity, Units(("N/m", "N*m/rad"), positive=True)] | None = None
     """Stiffness of the air between flow and piston. A rotary cylinder may give ``torque`` instead.
     """
     torque: Torque | None = None
-    """Pressure, area and radius that give the torque of a rotary cylinder. Its air has the
-    stiffness of the absolute pressure in the middle of the stroke, ``5.6 p A r / stroke``."""
+    """Pressure, area and radius that give the torque of a rotary cylinder. They also give the
+    stiffness of the air in the middle of the stroke: ``5.6 p A r / stroke``, with p absolute."""
     air_damping: Annotated[Quantity, Units(("N*s/m", "N*m*s/rad"), not_negative=True)]
     """Damping of that air."""
     air_ramp: Length | None = None
-    """Distance over which the damping builds up after a standstill. Without it: 0."""
+    """Distance over which the damping of the air builds up after a standstill. Without it: 0."""
     cushion: Cushion | None = None
     """End cushioning."""
     friction: Annotated[Quantity, Units(("N", "N*m"), not_negative=True)] | None = None
@@ -227,7 +233,7 @@ class Cylinder:
     stiction: Annotated[Quantity, Units(("N", "N*m"), not_negative=True)] | None = None
     """Force at breakaway, at least ``friction``. Without it: ``friction``."""
     needs: tuple[str, ...] = ()
-    """Interlock: end switches of other cylinders that are on while this one moves."""
+    """Interlock: end switches of other cylinders that must be on while this cylinder moves."""
 
     @model_validator(mode="after")
     def _stiction(self) -> Cylinder:
@@ -282,15 +288,15 @@ class Cylinder:
 
     @property
     def usual(self) -> tuple[float, str]:
-        """Factor from SI to the usual unit of its places, and that unit: mm or deg."""
+        """Factor from SI to the usual unit of its positions, and that unit: mm or deg."""
         return (1e3, "mm") if self.kind == "linear" else (180.0 / math.pi, "deg")
 
     def pace(self, speed: float, form: str = "g") -> str:
-        """Return words for a speed: ``0.43 m/s``, ``180 deg/s``."""
+        """Return a speed as text: ``0.43 m/s``, ``180 deg/s``."""
         return f"{speed:{form}} m/s" if self.kind == "linear" else f"{self.place(speed, form)}/s"
 
     def place(self, at: float, form: str = "g") -> str:
-        """Return words for a place of its stroke in the usual unit: ``200 mm``, ``90 deg``."""
+        """Return a position as text in the usual unit: ``200 mm``, ``90 deg``."""
         factor, unit = self.usual
         return f"{at * factor:{form}} {unit}"
 
@@ -299,11 +305,11 @@ class Cylinder:
         return self.forward if forward else self.back
 
     def rest_s(self, forward: bool) -> float:
-        """Return the time from its last switching to its rest, s."""
+        """Return the time from the last switching of a move to the rest of the piston, s."""
         return self.way(forward).closes_s + self.delay.si + REST_LAGS * self.lag.si
 
     def longest_rest_s(self, forward: bool) -> float:
-        """Return the time from its last switching to its rest, at the end of its tolerances."""
+        """Return ``rest_s`` with every number at the end of its tolerance that makes it longer."""
         closes = self.way(forward).closes
         shut_s = 0.0 if closes is None else closes.most
         return shut_s + self.delay.most + REST_LAGS * self.lag.most
@@ -314,16 +320,16 @@ class Plc:
     """The controller of an on/off machine."""
 
     clock: str
-    """Its scan, a name of ``[clocks]``."""
+    """Clock of the scans, a name of ``[clocks]``."""
     watchdog: PositiveTime
-    """A longer scan is a fault. It is longer than one scan, and 100 scans at most."""
+    """Longest time of a scan that is not a fault: more than one scan, and at most 100 scans."""
     dwell: PositiveTime
     """Shortest time between two switchings of one valve."""
     never_over: bool
     """Whether no command may exceed the unshaped level."""
     jitter: Annotated[Quantity, Units(("",), not_negative=True, most=0.5)] | None = None
-    """Share of a scan by which each scan may begin early or late: 0.2, at most 0.5. Every run but
-    the nominal one has scans of its own. Without it: 0."""
+    """Share of a scan by which each scan may begin early or late, such as 0.2; at most 0.5. It is
+    drawn for every scan of every run except the nominal run. Without it: 0."""
 
 
 def check_addresses(outputs: Mapping[str, Output], contacts: Mapping[str, Contact]) -> None:
@@ -354,8 +360,8 @@ def check_contacts(
     Raises
     ------
     ValueError
-        If a switch is always on or always off; if an interlock names something else than an end
-        switch, or a cylinder's interlock names its own end switch.
+        If a switch is always on or always off, if an interlock names anything but an end switch, or
+        if a cylinder's interlock names one of its own end switches.
     """
     for name, contact in contacts.items():
         if contact.cylinder is None or contact.at is None:
@@ -395,8 +401,8 @@ def switch_faults(
 ) -> Iterator[tuple[str, str, str]]:
     """Yield key, fault and remedy of each end switch whose tolerance makes it useless.
 
-    Call this for the nominal machine only: a variant keeps the tolerances, which may then lie
-    partly outside.
+    Call this for the nominal machine only: a variant has shifted values with the same tolerances,
+    which may then lie partly outside of the stroke.
     """
     for name, contact in contacts.items():
         if contact.cylinder is None or contact.at is None:

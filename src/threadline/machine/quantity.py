@@ -61,9 +61,9 @@ class Quantity:
     unit
         SI unit; empty for a number without unit.
     tolerance_si
-        Half width of the interval of the true value, in ``unit``.
+        Half width of the interval that contains the true value, in ``unit``.
     provenance, note
-        Kind of source, and the source.
+        Kind of source of the number, and the source.
     exact_s
         A time as an exact fraction of a second; None for every other number.
     """
@@ -77,12 +77,12 @@ class Quantity:
 
     @property
     def least(self) -> float:
-        """Lower end of its tolerance."""
+        """Lower end of the tolerance interval."""
         return self.si - self.tolerance_si
 
     @property
     def most(self) -> float:
-        """Upper end of its tolerance."""
+        """Upper end of the tolerance interval."""
         return self.si + self.tolerance_si
 
 

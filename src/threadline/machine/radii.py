@@ -27,8 +27,8 @@ _RADIUS = "radius_mm"
 def with_radii(machine: Machine, text: str | None) -> Machine:
     """Return ``machine`` with radii of its rotary axes, given like ``"A=40 mm, B=2 mm"``.
 
-    A mandrel may have a radius at each of several positions of a linear axis: ``"A=20 mm at X 0 mm;
-    50 mm at X 100 mm"``. With None the machine is returned unchanged.
+    A mandrel may have different radii along a linear axis: ``"A=20 mm at X 0 mm; 50 mm at X 100
+    mm"``. With None the machine is returned unchanged.
 
     Raises
     ------
@@ -60,8 +60,8 @@ def with_radii(machine: Machine, text: str | None) -> Machine:
 def written_out(text: str) -> str:
     """Return the text of ``--radius`` with each table (``A=mandrel.csv``) replaced by its rows.
 
-    The stored options of a plan then contain the table. A table has the columns ``X_mm`` (or
-    another linear axis) and ``radius_mm``.
+    The stored options of a plan then contain the rows and do not depend on the file. A table has
+    the columns ``X_mm`` (or another linear axis) and ``radius_mm``.
 
     Raises
     ------
@@ -111,7 +111,7 @@ def _length(written: str, option: str, *, positive: bool = False) -> Quantity:
 
 
 def _rows(table: Path) -> str:
-    """Return the rows of a table of radii like ``20 mm at X 0 mm; 50 mm at X 100 mm``."""
+    """Return the rows of a table of radii as text: ``20 mm at X 0 mm; 50 mm at X 100 mm``."""
     text = read_text(table, _MOST_BYTES, OptionError, "table of radii", "utf-8-sig")
     rows = [row for row in csv.reader(text.splitlines()) if any(map(str.strip, row))]
     header = [name.strip() for name in rows[0]] if rows else []

@@ -26,7 +26,8 @@ _FINEST = 360_000
 class Shaft:
     """The main shaft, which makes one stitch per turn.
 
-    Angles count from where the frame begins to move; it must be at rest after ``window``.
+    Angles count from the angle at which the frame begins to move. The frame must be at rest after
+    ``window``.
     """
 
     turn: PositiveTime
@@ -34,13 +35,13 @@ class Shaft:
     slowest_turn: PositiveTime
     """Time of a turn at the lowest speed."""
     window: Angle
-    """The frame may move from angle 0 to here."""
+    """Angle until which the frame may move; it begins at angle 0."""
     needle_enters: Angle
-    """The needle is in the cloth from here."""
+    """Angle from which the needle is in the cloth."""
     needle_leaves: Angle
-    """The needle is in the cloth until here."""
+    """Angle until which the needle is in the cloth."""
     acceleration: Annotated[Quantity, Units(("rad/s^2",), positive=True)] | None = None
-    """Largest change of the speed between two windows, per time. Without it: the speed cannot
+    """Largest rate of change of the shaft speed between two windows. Without it: the speed cannot
     change during sewing."""
 
     @model_validator(mode="after")
@@ -66,21 +67,21 @@ class Shaft:
 
     @property
     def window_share(self) -> Fraction:
-        """Share of a turn in which the frame may move, to a thousandth of a degree."""
+        """Share of a turn in which the frame may move, rounded to a thousandth of a degree."""
         return Fraction(round(self.window.si / (2.0 * pi) * _FINEST), _FINEST)
 
     @property
     def turn_s(self) -> Fraction:
-        """Shortest turn, exactly."""
+        """Exact time of the shortest turn, s."""
         assert self.turn.exact_s is not None
         return self.turn.exact_s
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
 class Tables:
-    """The controller's tables of step intervals, one for each length of a move.
+    """The controller's tables of step intervals, one table for each length of a move.
 
-    Intervals are whole periods of the clock.
+    An interval is a whole number of periods of the clock.
     """
 
     clock: str
@@ -90,7 +91,8 @@ class Tables:
     longest: Length
     """Longest move; there is one table for each number of units up to it."""
     fetch: PositiveTime
-    """Time in which a table is loaded, one for each axis that moves, between two moves."""
+    """Time to load one table. Between two moves the controller loads a table for each axis that
+    moves."""
     step_rate: Annotated[Quantity, Units(("Hz",), positive=True)]
     """Highest rate of steps."""
     law: str

@@ -1,9 +1,9 @@
 """Position-commanded drives: steppers, pulse-controlled servos and kinematic drives.
 
-Such a drive prescribes the coordinate of its body: it follows the commands against any force. The
-force determines the torque that the drive needs. If the needed torque exceeds the available torque,
-a stepper loses steps and a servo stops with a fault. A kinematic drive has no known body or motor;
-its axis has only limits.
+Such a drive prescribes the coordinate of its body: the body follows the commands against any force.
+The force determines the torque that the drive needs. If this torque exceeds the available torque, a
+stepper loses steps and a servo stops with a fault. The body and the motor of a kinematic drive are
+unknown; its axis has only limits.
 """
 
 from __future__ import annotations
@@ -57,21 +57,21 @@ class Stepper:
     kind: Literal["stepper"]
     """A stepping motor with its driver."""
     body: str
-    """The body that it turns; its inertia includes the rotor."""
+    """The body that the motor moves; the inertia of the body includes the rotor."""
     clock: str
-    """Tick of its commands; within a tick the pulses are evenly spaced."""
+    """Clock of the commands; within a tick the pulses are evenly spaced."""
     full_steps: Annotated[Quantity, Units(("count/rad", "count/m"), positive=True)]
     """Full steps per unit of the body."""
     microsteps: Annotated[Quantity, Units(("",), positive=True, whole=True, most=256)]
     """Microsteps per full step."""
     curve: tuple[CurvePoint, ...] = ()
-    """Torque curve of a data sheet: at least two points, the first at speed 0; beyond the last
-    there is no torque. Without it: ``winding``."""
+    """Torque curve of a data sheet: at least two points, the first at speed 0. The torque is 0 at
+    speeds above the last point. Without it: ``winding``."""
     winding: Winding | None = None
-    """Winding, from which the torque curve follows. Without it: ``curve``."""
+    """Winding, from which the torque curve is computed. Without it: ``curve``."""
     microstep_error: Annotated[Quantity, Units(("rad", "m"), not_negative=True)] | None = None
-    """Largest distance of the motor from its microstep; the error repeats every full step. Without
-    it: 0."""
+    """Largest deviation of the motor from the commanded microstep; the error repeats every full
+    step. Without it: 0."""
     detent: Annotated[Quantity, Units(("N*m", "N"), not_negative=True)] | None = None
     """Holding torque without current; nothing uses it."""
 
@@ -119,23 +119,24 @@ class Stepper:
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
 class PulseServo:
-    """A servo with an internal loop, which follows pulses with a bandwidth up to a torque limit.
+    """A servo with an internal control loop that follows pulses.
 
-    Its shaft follows the command as a critically damped second-order lag, independent of the load.
+    Its shaft follows the command with a critically damped second-order lag, whatever the load. A
+    needed torque above ``torque_limit`` is a fault.
     """
 
     kind: Literal["pulse-servo"]
-    """A servo with a loop of its own that takes pulses."""
+    """A servo with an internal control loop that takes pulses."""
     body: str
-    """The body that it turns."""
+    """The body that the servo moves."""
     clock: str
-    """Tick of its commands."""
+    """Clock of the commands."""
     resolution: Annotated[Quantity, Units(("count/rad", "count/m"), positive=True)]
     """Pulses per unit of the body."""
     bandwidth: Annotated[Quantity, Units(("Hz",), positive=True)]
-    """Bandwidth of its loop."""
+    """Bandwidth of the internal loop."""
     torque_limit: Torque
-    """Largest torque at any speed; more is a fault (``step_loss``)."""
+    """Largest torque at any speed; a larger needed torque is a fault (``step_loss``)."""
 
     @property
     def counts(self) -> float:
@@ -152,9 +153,9 @@ class Kinematic:
     """A drive that takes positions on ``clock``; its motor and its load are unknown."""
 
     kind: Literal["kinematic"]
-    """A drive with nothing known but its limits."""
+    """A drive of which only the limits are known."""
     clock: str
-    """Tick of its commands."""
+    """Clock of the commands."""
 
 
 Source = Stepper | PulseServo
@@ -164,7 +165,13 @@ Source = Stepper | PulseServo
 def check_limits_only(
     drives: Mapping[str, object], axes: Mapping[str, Axis], tables: Mapping[str, object]
 ) -> None:
-    """Refuse parts with dynamics next to kinematic drives; a ``ValueError`` begins with the key."""
+    """Refuse parts with dynamics in a machine with kinematic drives.
+
+    Raises
+    ------
+    ValueError
+        If there are such parts; the message begins with the key.
+    """
     why = "is not allowed with kinematic drives, for which only limits are known"
     for name, drive in drives.items():
         if not isinstance(drive, Kinematic):

@@ -1,4 +1,4 @@
-"""The spool of a winder's fibre: its brake, the spring arm behind it, and the mandrel it feeds."""
+"""The spool of a winder's fibre with its brake, the spring arm after it, and the mandrel."""
 
 from __future__ import annotations
 
@@ -16,15 +16,16 @@ from threadline.machine.quantity import Quantity, Units
 from threadline.machine.tool import Tool
 
 STRANDS = 2.0
-"""Strands of fibre that pull at the roller of the arm: the fibre turns round it and goes back."""
+"""Number of strands that pull at the roller of the arm: the fibre wraps round it and goes back."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
 class SpringArm:
-    """A spring-loaded arm whose roller the fibre passes on its way from the spool to the eye.
+    """A spring-loaded arm with a roller, round which the fibre runs between spool and eye.
 
-    All numbers are at the roller, along the way on which the fibre pulls it. An arm with inertia J
-    about its pivot and length l has the mass J / l^2 and the stiffness k / l^2.
+    All numbers refer to the roller, in the direction in which the fibre pulls it. An arm of length
+    l, with inertia J and torsional stiffness k about its pivot, has the mass J / l^2 and the
+    stiffness k / l^2 at the roller.
     """
 
     mass: Annotated[Quantity, Units(("kg",), positive=True)]
@@ -32,41 +33,41 @@ class SpringArm:
     stiffness: Annotated[Quantity, Units(("N/m",), positive=True)]
     """Stiffness of the spring at the roller."""
     preload: Annotated[Quantity, Units(("N",), not_negative=True)]
-    """Force of the spring where the arm lies on its lower stop, without fibre."""
+    """Force of the spring while the arm lies on its lower stop, without fibre."""
     travel: Annotated[Quantity, Units(("m",), positive=True)]
-    """Distance between the two stops of the roller. The arm takes up twice that length of fibre."""
+    """Distance of the roller between the two stops of the arm. The arm can take up twice this
+    length of fibre."""
     damping: Annotated[Quantity, Units(("N*s/m",), not_negative=True)] | None = None
     """Viscous damping at the roller. Without it: 0."""
     release: Annotated[Quantity, Units(("N*m/m",), not_negative=True)] | None = None
-    """Torque that the brake loses per distance that the fibre pulls the roller; the brake has
-    its ``torque`` with the arm in the middle of its travel. Without it: the arm leaves the brake
-    alone."""
+    """Decrease of the brake torque per distance by which the fibre pulls the roller; the brake has
+    its ``torque`` while the arm is in the middle of its travel. Without it: the arm does not act on
+    the brake."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
 class Spool:
-    """A braked spool, the spring arm behind it, and the fibre from there to the mandrel."""
+    """A braked spool, the spring arm after it, and the fibre to the mandrel."""
 
     radius: Annotated[Quantity, Units(("m",), positive=True)]
-    """Radius at which the fibre leaves the spool; its tolerance covers a spool from full to
-    empty."""
+    """Radius at which the fibre leaves the spool; the tolerance covers the range from a full to an
+    empty spool."""
     inertia: Annotated[Quantity, Units(("kg*m^2",), positive=True)]
     """Inertia of the spool with its fibre and of everything that turns with it."""
     torque: Annotated[Quantity, Units(("N*m",), positive=True)]
     """Torque of the brake while the spool turns."""
     stiction: Annotated[Quantity, Units(("N*m",), positive=True)] | None = None
-    """Torque that sets the spool in motion. Without it: ``torque``."""
+    """Breakaway torque of the brake. Without it: ``torque``."""
     most_torque: Annotated[Quantity, Units(("N*m",), positive=True)] | None = None
-    """Largest torque that the brake can be set to while the machine winds: with it the brake
-    follows the tension that the job asks for, layer by layer. Without it: the brake keeps
-    ``torque``."""
+    """Largest torque that the brake can be set to during winding. With this key the brake follows
+    the tension that the job asks for, layer by layer. Without it: the brake keeps ``torque``."""
     friction: Annotated[Quantity, Units(("",), not_negative=True)] | None = None
     """Share by which rollers, bath and guides raise the tension between arm and eye. Without it:
     0."""
     stiffness: Annotated[Quantity, Units(("N/m",), positive=True)]
-    """Stiffness of the fibre between spool and mandrel: modulus times section over length."""
+    """Stiffness of the fibre between spool and mandrel: modulus times section / length."""
     damping: Annotated[Quantity, Units(("N*s/m",), not_negative=True)] | None = None
-    """Viscous damping of that fibre. Without it: 0."""
+    """Viscous damping of the fibre between spool and mandrel. Without it: 0."""
     arm: SpringArm
     """The spring arm."""
 
@@ -86,10 +87,11 @@ class Spool:
 
     @property
     def tension_n(self) -> float:
-        """Tension behind the eye at a constant speed of the fibre, N.
+        """Tension between eye and mandrel at a constant speed of the fibre, N.
 
-        The arm balances ``2 T = preload + stiffness y``, and the brake ``T r = torque - release (y
-        - travel / 2)``, where y is the distance of the roller from its lower stop.
+        The arm is in balance at ``2 T = preload + stiffness y`` and the brake at ``T r = torque -
+        release (y - travel / 2)``, where y is the distance of the roller from its lower stop and T
+        the tension at the spool. The guides raise T by the share ``friction``.
         """
         arm, r = self.arm, self.radius.si
         release = 0.0 if arm.release is None else arm.release.si
@@ -102,17 +104,21 @@ class Spool:
 
     @property
     def take_up_m(self) -> float:
-        """Fibre that the arm takes back from its place at a constant speed to its lower stop, m."""
+        """Length of fibre that the arm can take up before it reaches its lower stop, m.
+
+        The arm begins at its position at a constant speed of the fibre.
+        """
         return STRANDS * self._way_m(self.tension_n)
 
     def take_up_at(self, tension_n: float) -> float:
-        """Return ``take_up_m`` with the brake set to a tension behind the eye, m."""
+        """Return ``take_up_m`` for a brake that is set to a tension between eye and mandrel, m."""
         return STRANDS * self._way_m(tension_n)
 
     def torque_for(self, tension_n: float) -> float:
-        """Return the ``torque`` of the brake that gives a tension behind the eye, N m.
+        """Return the ``torque`` of the brake that gives a tension between eye and mandrel, N m.
 
-        It is the inverse of ``tension_n``; 0 or below where the arm loosens the brake too much.
+        This is the inverse of ``tension_n``. The result is 0 or below if the arm would release the
+        brake too much.
         """
         share = 0.0 if self.friction is None else self.friction.si
         release = 0.0 if self.arm.release is None else self.arm.release.si
@@ -121,7 +127,7 @@ class Spool:
 
     @property
     def floats_n(self) -> tuple[float, float]:
-        """Tensions behind the eye between which the arm is off its stops, N."""
+        """Lowest and highest tension between eye and mandrel, N, with the arm off its stops."""
         arm, share = self.arm, 0.0 if self.friction is None else self.friction.si
         low, high = arm.preload.si, arm.preload.si + arm.stiffness.si * arm.travel.si
         return (1.0 + share) * low / STRANDS, (1.0 + share) * high / STRANDS
@@ -131,7 +137,7 @@ class Spool:
         return self.arm.travel.si
 
     def _way_m(self, tension_n: float) -> float:
-        """Return the distance of the roller from its lower stop at a tension behind the eye."""
+        """Return the roller's distance from its lower stop, m, at a tension after the eye, N."""
         share = 0.0 if self.friction is None else self.friction.si
         force = STRANDS * tension_n / (1.0 + share) - self.arm.preload.si
         return min(max(force / self.arm.stiffness.si, 0.0), self._travel_m)
@@ -144,25 +150,25 @@ class Mounted:
     Parameters
     ----------
     nodes, x, r
-        The meridian, as ``winding.surface.Surface``.
+        The meridian, as in ``winding.surface.Surface``.
     convex
-        Whether no straight line touches it in two places.
+        Whether the mandrel is convex: no straight line touches it in two places.
     at_m
-        Machine place of its left end.
+        Position of the mandrel's left end along the machine.
     slip
-        Share by which it stays behind the axis that turns it.
+        Share by which the mandrel turns less than the axis that turns it.
     friction
         Coefficient of friction between fibre and mandrel.
     tied_m
-        Place along the meridian where the fibre is tied; None if unknown.
+        Position along the meridian where the fibre is tied; None if unknown.
     leads
-        Fibre per change of each coordinate of the eye (m per m or rad, in the order of
-        ``EYE_PARTS``) where the winding begins: the fibre is tied in this direction, under tension.
-        None if unknown: it is tied slack.
+        Length of fibre per change of each coordinate of the eye (m per m or rad, in the order of
+        ``EYE_PARTS``) at the beginning of the winding: the fibre is tied in this direction, under
+        tension. None if unknown: the fibre is tied slack.
     brakes
-        Operations of the job, increasing, from which on the brake of the spool has another torque,
-        and the factor on its ``torque`` from there on; the first holds before them, too. Empty:
-        the brake keeps its ``torque``.
+        (operation, factor) pairs, in increasing order of the operations of the job: from this
+        operation on the torque of the brake is ``torque`` times the factor. The first factor also
+        holds before its operation. Empty: the brake keeps its ``torque``.
     """
 
     nodes: FloatArray
@@ -185,12 +191,12 @@ class Mounted:
 
 
 def check_spool(spool: Spool | None, tool: Tool | None, axes: Mapping[str, Axis]) -> None:
-    """Check that the machine of a spool has an eye, moved by control loops, that lays its fibre.
+    """Check that a machine with a spool has an eye, and that all its axes have control loops.
 
     Raises
     ------
     ValueError
-        If it has none; begins with the key.
+        If one of these is missing; the message begins with the key.
     """
     if spool is None:
         return

@@ -1,4 +1,4 @@
-"""The tables ``[design]`` and ``[tolerances]``: numbers that a redesign may change, or that vary.
+"""The tables ``[design]`` and ``[tolerances]``: numbers that may be redesigned, and that vary.
 
 Only ``threadline design`` reads ``[design]``; it does not affect motions or simulations.
 
@@ -31,27 +31,27 @@ Factor = Annotated[float, Field(gt=0.0, lt=1e6, strict=True)]
 MOST_MARGIN_DEG = 90.0
 MOST_PARAMETERS = 8
 MOST_TOLERANCES = 4
-"""Largest number of parameters with a tolerance: all 2^n corners are simulated."""
+"""Largest number n of parameters with a tolerance: all 2^n corners are simulated."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
 class DesignParameter:
-    """Numbers of the machine that a common factor changes."""
+    """Numbers of the machine that are multiplied by a common factor."""
 
     of: tuple[NumberPath, ...] = Field(min_length=1)
     """Numbers that change together: ``["links.x_belt.stiffness"]``."""
     factor: tuple[Factor, Factor] | None = None
     """Smallest and largest factor on the numbers: ``[1, 100]``. Without it: ``range``."""
     range: tuple[str, str] | None = None
-    """Smallest and largest value, ``["27 A", "60 A"]``; the numbers are equal in the file. Without
-    it: ``factor``."""
+    """Smallest and largest value, ``["27 A", "60 A"]``; the numbers must be equal in the file.
+    Without it: ``factor``."""
     weight: Annotated[float, Field(ge=0.0, le=1e6, strict=True)] = 1.0
-    """A change costs weight x abs(ln factor)."""
+    """Weight of a change in the cost: the cost is weight x abs(ln factor)."""
     tolerance: str | None = None
     """Relative tolerance of the numbers, ``"10 %"``, for ``--corners`` of ``design``. Without it:
     0."""
     note: str = ""
-    """Remark for people."""
+    """Remark for readers of the file."""
 
     @model_validator(mode="after")
     def _consistent(self) -> DesignParameter:
@@ -80,16 +80,17 @@ class DesignSettings:
     """Settings that a redesign may change at no cost, each with its smallest and largest value."""
 
     crossover: tuple[Hertz, Hertz] | None = None
-    """Smallest and largest crossover frequency of all lead filters; it comes with ``phase_margin``.
-    Without it: the gains stay."""
+    """Smallest and largest crossover frequency of all lead filters; ``phase_margin`` must be given
+    as well. Without it: the gains do not change."""
     phase_margin: tuple[Degrees, Degrees] | None = None
-    """Smallest and largest phase margin. Without it: the gains stay."""
+    """Smallest and largest phase margin; ``crossover`` must be given as well. Without it: the gains
+    do not change."""
     acceleration: tuple[Share, Share] | None = None
     """Smallest and largest share of acceleration and jerk limits that the planner uses. Without it:
     all."""
     needle_delay: tuple[Seconds, Seconds] | None = None
-    """Smallest and largest time from the command of a stitch to its needle. Without it: the time in
-    the specification."""
+    """Smallest and largest time from the command of a stitch to its needle-down. Without it: the
+    time in the specification."""
 
     @model_validator(mode="after")
     def _in_order(self) -> DesignSettings:
@@ -116,9 +117,9 @@ class KnownDesign:
     """A published design, plotted together with the design found."""
 
     title: str
-    """One line for people."""
+    """Title of the design, on one line."""
     factors: dict[Name, Factor] = Field(min_length=1)
-    """Factor of each parameter; a parameter that is not named keeps 1."""
+    """Factor of each parameter; the factor of a parameter that is not named is 1."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
@@ -126,9 +127,9 @@ class Design:
     """The ``[design]`` table."""
 
     parameters: dict[Name, DesignParameter] = Field(min_length=1, max_length=MOST_PARAMETERS)
-    """What may change, by name: at most eight parameters."""
+    """Parameters that may change, by name; at most eight."""
     settings: DesignSettings = Field(default_factory=DesignSettings)
-    """What can be set without changing the machine. Without it: nothing is set."""
+    """Settings that may change at no cost, without a change of the machine. Without it: none."""
     known: dict[Name, KnownDesign] = Field(default_factory=dict)
     """Published designs by name, plotted beside the design found."""
 
@@ -172,13 +173,13 @@ class Tolerances:
     """
 
     normal: tuple[NumberPattern, ...] = ()
-    """Numbers with a normal distribution: ``+-`` is two standard deviations, and no number is
-    further off than three."""
+    """Numbers with a normal distribution: ``+-`` is two standard deviations, and the distribution
+    is truncated at three standard deviations."""
     exclude: tuple[NumberPattern, ...] = ()
     """Numbers that do not vary."""
     groups: dict[Name, tuple[NumberPattern, ...]] = Field(default_factory=dict)
-    """Numbers that vary together, by name of the group, all by the same share of their tolerances.
-    All numbers of a group are ``normal``, or none is."""
+    """Groups of numbers that vary together, by name of the group: all numbers of a group deviate by
+    the same share of their tolerances. Either all numbers of a group are ``normal``, or none."""
 
     @model_validator(mode="after")
     def _each_in_one_group(self) -> Tolerances:
@@ -196,7 +197,7 @@ class Tolerances:
 
 
 def matches(path: str, patterns: tuple[str, ...]) -> bool:
-    """Return whether one of ``patterns`` names the number ``path``."""
+    """Return whether one of ``patterns`` matches the dotted name ``path``."""
     return any(fnmatchcase(path, pattern) for pattern in patterns)
 
 

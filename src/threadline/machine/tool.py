@@ -1,4 +1,4 @@
-"""The tool, limits along its path, a winder's eye; and the limits of all axes as arrays."""
+"""The tool, a winder's eye, limits along the tool's path, and the limits of axes as arrays."""
 
 from __future__ import annotations
 
@@ -19,15 +19,16 @@ from threadline.machine.quantity import Quantity, Units
 class EyeAxis:
     """An axis that moves the eye or turns the mandrel.
 
-    The eye's coordinate is ``zero`` plus the position of the axis; minus it with ``reverse``.
+    The coordinate of the eye is ``zero`` plus the position of the axis; with ``reverse`` it is
+    ``zero`` minus the position.
     """
 
     axis: str
-    """The axis of the machine."""
+    """Name of the axis of the machine."""
     reverse: StrictBool = False
-    """Whether the eye moves back when the axis moves forwards."""
+    """Whether the eye moves in the negative direction when the axis moves in the positive."""
     zero: Position | None = None
-    """Coordinate of the eye where the axis is at 0. Without it: 0."""
+    """Coordinate of the eye when the axis is at 0. Without it: 0."""
 
     @property
     def factor(self) -> float:
@@ -36,36 +37,37 @@ class EyeAxis:
 
     @property
     def zero_si(self) -> float:
-        """Coordinate of the eye where the axis is at 0, m or rad."""
+        """Coordinate of the eye when the axis is at 0, m or rad."""
         return 0.0 if self.zero is None else self.zero.si
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
 class Payout:
-    """Pay-out point of the fibre from the eye's carrier, at yaw and roll 0."""
+    """Pay-out point of the fibre relative to the eye's carrier, at yaw and roll 0."""
 
     along: Annotated[Quantity, Units(("m",))]
     """Distance from the eye's carrier along the mandrel."""
     across: Annotated[Quantity, Units(("m",))]
-    """Distance away from the mandrel's axis."""
+    """Distance from the eye's carrier in the direction away from the mandrel's axis."""
     up: Annotated[Quantity, Units(("m",))]
-    """Distance upwards."""
+    """Distance from the eye's carrier upwards."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
 class Roller:
-    """The roller over which the fibre leaves the eye, in the middle of the roller.
+    """The roller over which the fibre leaves the eye.
 
-    The point where it leaves moves round the roller with the direction of the fibre.
+    The fibre runs in the middle of the roller. The point where it leaves moves round the roller as
+    the direction of the fibre changes.
     """
 
     radius: Annotated[Quantity, Units(("m",))]
     """Radius of the roller; 0 is a plain eye."""
     axis: Literal["along", "up"]
-    """Direction of its axis at yaw and roll 0."""
+    """Direction of the roller's axis at yaw and roll 0."""
     side: Literal["+", "-"] = "+"
-    """Side on which the fibre passes: ``+`` is up for an axis along the mandrel, and along the
-    mandrel for an upright axis."""
+    """Side of the roller on which the fibre passes: ``+`` is the upper side for a roller axis along
+    the mandrel, and the side in the direction along for an upright roller axis."""
 
     @model_validator(mode="after")
     def _no_hole(self) -> Roller:
@@ -76,7 +78,7 @@ class Roller:
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
 class Arm:
-    """The arm of an eye: a round rod that goes across, away from the mandrel."""
+    """The arm of an eye: a round rod in the direction across, away from the mandrel."""
 
     radius: Annotated[Quantity, Units(("m",), positive=True)]
     """Radius of the rod."""
@@ -86,10 +88,10 @@ class Arm:
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
 class EndStop:
-    """Chuck or tailstock: a cylinder about the axis, outwards from its face."""
+    """Chuck or tailstock: a cylinder about the mandrel's axis, from its face outwards."""
 
     at: Annotated[Quantity, Units(("m",))]
-    """Place of the face towards the mandrel, along the machine."""
+    """Position along the machine of the face that points to the mandrel."""
     radius: Annotated[Quantity, Units(("m",), positive=True)]
     """Radius of the cylinder."""
     length: Annotated[Quantity, Units(("m",), positive=True)]
@@ -100,7 +102,7 @@ _TURNS = ("turn", "yaw", "roll")
 EYE_PARTS = ("turn", "along", "across", "up", "yaw", "roll")
 """Coordinates of an eye, in the order of all arrays."""
 EYE_BODY = ("payout", "roller", "body", "arm", "chuck", "tailstock")
-"""Keys of an eye that name no axis."""
+"""Keys of an eye that are not axes."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
@@ -113,23 +115,24 @@ class Tool:
     kind: Literal["radius", "eye"] = "radius"
     """``radius``, or ``eye`` for a winder whose fibre is [replayed](winding.md)."""
     radius: Annotated[Quantity, Units(("m",), positive=True)]
-    """Radius at which rotary axes without a radius act: an angle times it is a length at the tool,
-    in feeds and in errors."""
+    """Radius at which rotary axes without a radius of their own act: an angle times this radius is
+    a length at the tool, for feeds and for errors."""
     turn: EyeAxis | None = None
-    """Of an eye: the axis that turns the mandrel. Without it: no eye."""
+    """For an eye: the axis that turns the mandrel. Without it: no eye."""
     along: EyeAxis | None = None
-    """Of an eye: the axis that moves it along the mandrel. Without it: no eye."""
+    """For an eye: the axis that moves the eye along the mandrel. Without it: no eye."""
     across: EyeAxis | None = None
     """The axis that moves the eye away from the mandrel's axis. Without it: ``payout``."""
     up: EyeAxis | None = None
     """The axis that lifts the eye. Without it: 0."""
     yaw: EyeAxis | None = None
-    """The axis that turns the eye about the upright, from along to across. Without it: 0."""
+    """The axis that turns the eye about the upright direction, from along to across. Without it:
+    0."""
     roll: EyeAxis | None = None
     """The axis that turns the eye about the direction across, from up to along. Without it: 0."""
     payout: Payout | None = None
-    """Point where the fibre leaves the eye, or the centre of its roller, from the carrier at yaw
-    and roll 0. Without it: the carrier."""
+    """Point where the fibre leaves the eye, or centre of the eye's roller, relative to the carrier
+    at yaw and roll 0. Without it: the carrier."""
     roller: Roller | None = None
     """The roller over which the fibre leaves the eye. Without it: a plain eye."""
     body: Annotated[Quantity, Units(("m",), positive=True)] | None = None
@@ -172,9 +175,9 @@ class Tool:
 
     @property
     def roller_m(self) -> tuple[float, float, float, float]:
-        """Axis of the roller along, across and up, and its radius, m.
+        """Direction of the roller's axis (along, across, up), and radius of the roller, m.
 
-        The radius is negative where the fibre passes on the minus side, and 0 for a plain eye.
+        The radius is negative if the fibre passes on the minus side, and 0 for a plain eye.
         """
         roller = self.roller
         if roller is None:
@@ -197,7 +200,10 @@ class Tool:
 
 
 def eye_within(tool: Tool | None, axes: Iterable[str]) -> Tool | None:
-    """Return the tool of a machine with some axes alone: without all its axes it is no eye."""
+    """Return the tool of a machine that keeps only ``axes``.
+
+    An eye that lacks one of its axes becomes a plain radius.
+    """
     known = set(axes)
     if tool is None or all(part is None or part.axis in known for part in tool.parts):
         return tool
@@ -210,7 +216,8 @@ def check_eye(tool: Tool | None, axes: Mapping[str, Axis]) -> None:
     Raises
     ------
     ValueError
-        If one is missing, rotary instead of linear, or used twice; begins with the key.
+        If an axis is missing, used twice, or linear instead of rotary or vice versa; the message
+        begins with the key.
     """
     if tool is None:
         return
@@ -234,7 +241,7 @@ def check_radii(axes: Mapping[str, Axis], tool: Tool | None) -> None:
     Raises
     ------
     ValueError
-        If an axis has none; names the axis.
+        If an axis has neither; names the axis.
     """
     rotary = sorted(name for name, axis in axes.items() if axis.kind == "rotary")
     for name in rotary:
@@ -285,7 +292,10 @@ class PathLimits:
 
     @property
     def asks_for_rests(self) -> bool:
-        """Whether the tool must stop where its path turns back: its speed has a kink there."""
+        """Whether the tool must stop where its path turns back, because its speed has a kink there.
+
+        It must if the acceleration or the jerk along the path is limited.
+        """
         return self.acceleration is not None or self.jerk is not None
 
     @model_validator(mode="after")
@@ -369,7 +379,7 @@ class AxisArrays:
 
     @property
     def jerk_limit(self) -> FloatArray:
-        """(axes,) m/s^3 or rad/s^3; infinite where the file gives none."""
+        """(axes,) m/s^3 or rad/s^3; infinite if the file gives none."""
         return np.array(
             [np.inf if axis.jerk is None else axis.jerk.si for axis in self.axes.values()]
         )

@@ -1,9 +1,10 @@
-"""Variants of a machine within its tolerances: random, at corners, or one number at a time.
+"""Variants of a machine within its tolerances: drawn, at corners, or one number at a time.
 
 A *part* is the relative position of a number in its tolerance: -1 at the lower end, 0 at the
-nominal value, 1 at the upper end. Every choice of k variants gives (k, n) parts for the n numbers
-of ``uncertain(machine)``. ``numbers_at`` converts parts into the numbers of a batch, and
-``variant`` converts a row of parts into a machine with the same numbers.
+nominal value, 1 at the upper end. A normally distributed number may go further, to ``FARTHEST``
+standard deviations. Every choice of k variants gives (k, n) parts for the n numbers of
+``uncertain(machine)``. ``numbers_at`` converts parts into the numbers of a batch, and ``variant``
+converts a row of parts into a machine with the same numbers.
 """
 
 from __future__ import annotations
@@ -28,19 +29,18 @@ from threadline.machine.tables import matches, quantities
 MOST_CORNERS = 12
 """Largest number n of varying numbers for ``corners``, which returns 2^n variants."""
 SUPPLY_CUT = "supply_cut"
-"""Input of ``coasting``: 1 once the supply of the drive is cut."""
+"""Name of the input that ``coasting`` adds: it is 1 when the supply of the drive is cut."""
 FARTHEST = 3.0
 """Standard deviations at which a normal distribution is cut off."""
 _PER_PART = 2.0
 """Standard deviations per tolerance."""
 _DELAY_STEPS = 100
-"""Dead times vary in hundredths of their tolerance, so that their instants stay exact."""
-DRAWN_STEPS = 5
-"""Drawn dead times vary in fifths of their tolerance: machines of equal ones run side by side.
-
-A mean over the tolerance is then a sum by the trapezoidal rule, whose error shrinks with the square
-of the steps.
+"""Dead times vary in hundredths of their tolerance, so that they stay exact fractions of a second.
 """
+DRAWN_STEPS = 5
+"""Drawn dead times vary in fifths of their tolerance, because machines with equal dead times are
+simulated together. A mean over the tolerance is then a sum by the trapezoidal rule, whose error is
+proportional to the square of the step."""
 _MACHINE = (
     "bodies.*", "links.*", "drives.*", "sensors.*", "controllers.*", "inputs.*", "cylinders.*",
     "contacts.*", "spool.*",
@@ -52,7 +52,7 @@ _PLANNED = (
     "axes.*.travel.*", "axes.*.stroke", "axes.*.working_velocity", "outputs.*", "plc.*", "path.*",
     "tool.*", "operator.*",
 )  # fmt: skip
-"""Numbers that affect only plans; they are nominal in every variant."""
+"""Numbers that affect only plans; they keep their nominal values in every variant."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -86,7 +86,7 @@ def coasting(machine: Machine, axis: str, at_si: float) -> Machine:
     Parameters
     ----------
     at_si
-        Position from which on the drive has no supply, m or rad.
+        Position at and beyond which the drive has no supply, m or rad.
     """
     unit = "m" if machine.axes[axis].kind == "linear" else "rad"
     at = Quantity(si=at_si, unit=unit, tolerance_si=0.0, provenance=Provenance.ASSUMED)
@@ -111,7 +111,7 @@ def uncertain(machine: Machine) -> tuple[Uncertain, ...]:
     OptionError
         If a number has a tolerance but no variant can change it.
     """
-    # Cached, because every variant of a machine needs them.
+    # Cached, because every variant of a machine needs these numbers.
     return _RECENT.of(machine, lambda: _uncertain(machine))
 
 
@@ -292,8 +292,9 @@ def variant(machine: Machine, parts: FloatArray) -> Machine:
 def load_by_counts(machine: Machine, axis: str) -> dict[str, Quantity]:
     """Return the load of an axis by its own counts, for commands in another machine's counts.
 
-    The weight of each body is its weight in the axis' encoder divided by the counts per unit of
-    ``machine``. A machine with other counts and this load moves its load as ``machine`` does.
+    The weight of each body is its weight in the encoder of the axis divided by the counts per unit
+    of ``machine``. If a machine with other counts per unit gets these weights, its load moves like
+    the load of ``machine``.
     """
     counts = machine.axes[axis].counts
     unit = {"count/m": "m", "count/rad": "rad"}[counts.unit]
@@ -304,9 +305,9 @@ def load_by_counts(machine: Machine, axis: str) -> dict[str, Quantity]:
 
 
 def _counted(machine: Machine, axis: str) -> Mapping[str, Quantity]:
-    """Return the bodies that an axis counts, each with its counts per unit.
+    """Return the bodies whose motion an axis counts, each with its counts per unit.
 
-    These are the bodies read by its encoder, or the body of its stepper or pulse servo.
+    These are the bodies that the encoder reads, or the body of the stepper or pulse servo.
     """
     source = machine.source_of(axis)
     if source is None:
@@ -359,13 +360,13 @@ def _normal(machine: Machine, name: str, paths: list[str]) -> bool:
 
 
 def _per(length: str, reads: str) -> str:
-    """Return the unit of a load's weight, for an axis and a body in m or rad each."""
+    """Return the unit of a weight in ``load``, for an axis and a body that are in m or rad each."""
     body = reads.removeprefix("count/")
     return "" if body == length else f"{length}/{body}"
 
 
 def _delay(quantity: Quantity, part: float) -> Fraction:
-    """Return a dead time as an exact fraction of a second, so that instants stay exact."""
+    """Return a dead time at a part of its tolerance, as an exact fraction of a second."""
     exact = Fraction(0) if quantity.exact_s is None else quantity.exact_s
     step = Fraction(quantity.tolerance_si).limit_denominator(10**9) / _DELAY_STEPS
     return exact + round(part * _DELAY_STEPS) * step

@@ -1,4 +1,4 @@
-"""Vary a machine: from day to day, to the ends of its tolerances, or with lower limits."""
+"""Vary a machine: from run to run, to the ends of its tolerances, or with lower limits."""
 
 from __future__ import annotations
 
@@ -19,9 +19,10 @@ from threadline.machine.sources import Stepper
 REPEAT_SEED = 1994
 """Seed of the runs of one machine."""
 DAMPING_OF_DAYS = (0.7, 1.3)
-"""Smallest and largest damping from day to day, as a factor on the file's value."""
+"""Smallest and largest damping from run to run, as factors on the value in the file."""
 FRICTION_OF_DAYS, SUPPLY_OF_DAYS, TENSION_OF_DAYS = (0.7, 1.3), (0.95, 1.05), (0.95, 1.05)
-"""Smallest and largest friction, supply and brake of a spool from day to day, as such factors."""
+"""Smallest and largest friction, supply, and brake torque of a spool from run to run, as factors on
+the values in the file."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -31,7 +32,7 @@ class Days:
     Parameters
     ----------
     friction, supply
-        (runs,) factors, as in ``vary``.
+        (runs,) factors on the values in the file, as in ``vary``.
     phases
         (runs, axes) position of each encoder between two counts at the start, 0 to 1.
     tension
@@ -59,7 +60,8 @@ class Days:
 def drawn_days(count: int, axes: int, random: np.random.Generator) -> Days:
     """Draw ``count`` runs: friction within +-30 %, supply within +-5 %, random encoder phases.
 
-    The brake of a spool, within +-5 %, has a generator of its own: other machines keep their days.
+    The brake torque of a spool, within +-5 %, is drawn from a separate generator, so that machines
+    without a spool keep the same days.
     """
     tension = np.random.default_rng((REPEAT_SEED, axes)).uniform(*TENSION_OF_DAYS, count)
     tension[:1] = 1.0
@@ -155,7 +157,7 @@ def vary(
 def varied_numbers(machine: Machine, days: Days) -> dict[str, FloatArray]:
     """Return the numbers that ``vary`` changes in a machine with control loops, for many days.
 
-    The result maps each dotted name to (days,) SI values.
+    The result has the (days,) SI values of each dotted name.
     """
     friction, supply = days.friction, days.supply
     found: dict[str, FloatArray] = {}
@@ -181,14 +183,14 @@ def varied_numbers(machine: Machine, days: Days) -> dict[str, FloatArray]:
 
 
 def off_tolerance(machine: Machine, *, mass: float = 0.0, stiffness: float = 0.0) -> Machine:
-    """Return ``machine`` with heavier loads and stiffer springs than in its file.
+    """Return ``machine`` with loads and springs that deviate within their tolerances.
 
     Parameters
     ----------
     mass, stiffness
-        Relative position in the tolerance: 1 is the upper end, -1 the lower end. Loads are the
-        bodies in the load of an axis (by default the bodies of its drive) and the bodies that
-        cylinders push. Springs are the links and the air of cylinders.
+        Relative position in the tolerance: 1 is the upper end (heavier, stiffer), -1 the lower end.
+        Loads are the bodies in ``load`` of an axis (by default the bodies of its drive) and the
+        bodies that cylinders push. Springs are the links and the air of cylinders.
     """
     loads = {body for name in machine.axes for body in _carrying(machine, name)} | {
         cylinder.pushes for cylinder in machine.cylinders.values()
@@ -211,13 +213,13 @@ def off_tolerance(machine: Machine, *, mass: float = 0.0, stiffness: float = 0.0
 def corners(machine: Machine, share: float = 1.0) -> list[Machine]:
     """Return ``machine`` and the machines at the ends of the tolerances of loads and springs.
 
-    Nine machines, the nominal one first: loads nominal, lighter and heavier, each with springs
-    nominal, softer and stiffer.
+    These are nine machines, with the nominal machine first: nominal, lighter and heavier loads,
+    each with nominal, softer and stiffer springs.
 
     Parameters
     ----------
     share
-        Share of the tolerances.
+        Share of the tolerances at whose ends the machines are.
 
     Raises
     ------
@@ -243,7 +245,7 @@ class Others:
     name
         Description of the group.
     machines
-        Each machine with a description of its difference from the machine of the file.
+        Pairs of a description of the difference from the machine of the file, and the machine.
     """
 
     name: str
@@ -274,7 +276,7 @@ def ends_of(machine: Machine, share: float) -> Others:
     return Others(name=name, machines=tuple(found))
 
 
-_BAND = 17  # machines
+_BAND = 17  # number of machines in a band
 
 
 def band_parts(share: float) -> list[float]:
@@ -283,12 +285,12 @@ def band_parts(share: float) -> list[float]:
 
 
 def band_of(machine: Machine, share: float) -> Others:
-    """Return machines whose modes cover a band, each by ``mode_off``.
+    """Return machines whose mode frequencies cover a band, each made by ``mode_off``.
 
     Parameters
     ----------
     share
-        Half the width of the band, of the frequency: 0.2 for +-20 %.
+        Half width of the band, as a share of the frequency: 0.2 for +-20 %.
 
     Raises
     ------
@@ -315,8 +317,9 @@ def band_of(machine: Machine, share: float) -> Others:
 def mode_off(machine: Machine, relative: float) -> Machine:
     """Return ``machine`` with its modes at (1 + ``relative``) times their frequencies.
 
-    Damping ratios do not change: the stiffness of every link is scaled by the square of the factor,
-    and the viscous damping of every link and body by the factor. The air in cylinders is unchanged.
+    The stiffness of every link is multiplied by the square of this factor, and the viscous damping
+    of every link and body by the factor, so that damping ratios do not change. The air in cylinders
+    does not change.
 
     Raises
     ------
@@ -334,9 +337,9 @@ def mode_off(machine: Machine, relative: float) -> Machine:
 
 
 def with_reserve(machine: Machine, reserve: tuple[float, float] | None) -> Machine:
-    """Return ``machine`` with shares of the volts and the current of each drive kept for its loop.
+    """Return ``machine`` with shares of voltage and current of each drive reserved for its loop.
 
-    None returns the machine itself. Drives without an amplifier have nothing to keep.
+    With None the machine is returned unchanged. Drives without an amplifier have no reserve.
     """
     if reserve is None:
         return machine
@@ -358,9 +361,9 @@ def with_reserve(machine: Machine, reserve: tuple[float, float] | None) -> Machi
 def derate(machine: Machine, share: float) -> Machine:
     """Return ``machine`` with its acceleration and jerk limits multiplied by ``share``.
 
-    Limits of braking and limits along the path are included.
+    The limits of braking and the limits along the path are multiplied as well.
 
-    The following error of a loop grows with acceleration. A plan with lower accelerations can
+    The following error of a loop grows with the acceleration. A plan with lower accelerations may
     therefore have a higher speed, and often takes less time, within the same tolerance.
 
     Raises
@@ -394,7 +397,7 @@ def derate(machine: Machine, share: float) -> Machine:
 
 
 def _carrying(machine: Machine, axis: str) -> Iterable[str]:
-    """Return the bodies that carry the work of an axis: its load, or the bodies of its drive."""
+    """Return the bodies of an axis's load, by default the bodies of its drive."""
     load, source = machine.axes[axis].load, machine.source_of(axis)
     if load is not None:
         return load
@@ -402,7 +405,7 @@ def _carrying(machine: Machine, axis: str) -> Iterable[str]:
 
 
 def _air(cylinder: Cylinder, changed: Callable[[Quantity], Quantity]) -> dict[str, Any]:
-    """Return the changed number that gives the stiffness of a cylinder's air: it, or a pressure."""
+    """Return the field to replace when the air's stiffness changes: it, or the pressure."""
     if cylinder.torque is not None:
         torque = replace(cylinder.torque, pressure=changed(cylinder.torque.pressure))
         return {"torque": torque}
@@ -422,11 +425,11 @@ def within_path(machine: Machine, axes: tuple[str, ...], radius_m: FloatArray) -
     """Return ``machine`` with lower limits of ``axes`` instead of limits along the path.
 
     Any joint motion of the axes within the new limits keeps the vectors of the tool's velocity,
-    acceleration and jerk within ``[path]``, so a planner that knows only axis limits can use the
-    result. The acceleration is then within the centripetal limit, too. Of two equal axes, an axis
-    that moves alone gets 0.71 of the path limit. Where a slow motion turns, the jerk along the path
-    exceeds the vector of the jerk and may still exceed its limit. An axis with different limits of
-    braking and speeding up gets the lower one for both.
+    acceleration and jerk within the limits of ``[path]``, including the centripetal limit. A
+    planner that knows only axis limits can therefore use the result. With two equal axes, the limit
+    of each axis is 0.71 of the path limit, even if only one axis moves. Where a slow motion turns,
+    the jerk along the path is larger than the jerk vector and may still exceed its limit. If the
+    limits of braking and speeding up of an axis differ, the lower limit is used for both.
 
     Parameters
     ----------

@@ -49,9 +49,9 @@ def bits_of(found: EachRun) -> bytes:
 
 
 class SerialJudge:
-    """Judges machines within the tolerances of a plan's machine, one by one, under its commands.
+    """Simulates and judges machines within the tolerances one by one, under the plan's commands.
 
-    Encoders stand in the middle of a count.
+    At the start every encoder stands in the middle of a count.
 
     Parameters
     ----------
@@ -69,8 +69,8 @@ class SerialJudge:
     ) -> EachRun:
         """Return the results of machines at (k, n) parts of their tolerances.
 
-        A machine that cannot be simulated, or that never ends a wait, fails every criterion with a
-        limit, with an infinite value.
+        A machine that cannot be simulated, or that waits forever for an input, fails every
+        criterion that has a limit: the measured value is infinite.
 
         Parameters
         ----------
@@ -85,7 +85,7 @@ class SerialJudge:
     def judged_each(
         self, batches: Iterable[tuple[FloatArray, FloatArray | None]], done: Done | None = None
     ) -> Iterator[EachRun]:
-        """Yield the results of each batch of machines, its parts and products as in ``judged``."""
+        """Yield the results of each batch; a batch has parts and products as in ``judged``."""
         sizes: deque[int] = deque()
 
         def noted() -> Iterator[tuple[FloatArray, FloatArray | None]]:
@@ -156,17 +156,17 @@ class SerialJudge:
 
 _TRIM_THRESHOLD, _MMAP_THRESHOLD, _ARENA_MAX = -1, -3, -8  # parameters of mallopt, malloc.h
 _LARGEST = 32 << 20
-"""Size from which an array gets a mapping of its own, bytes; glibc's largest value."""
+"""Size, in bytes, from which an array gets its own memory mapping; the largest value of glibc."""
 _KEPT = 512 << 20
 
 
 def keep_freed_memory() -> None:
     """Let the C library of Linux keep freed memory for later allocations.
 
-    By default it returns the end of its memory to the system as soon as it is free, and arrays of
-    some megabytes lie there. In a loop that makes and drops such arrays, every page is requested,
-    cleared and returned again: a fifth of the time of judging many machines. The peak memory stays
-    unchanged. Other C libraries keep their settings.
+    By default the library returns free memory at the end of the heap to the system at once, and
+    arrays of some megabytes lie there. A loop that makes and drops such arrays therefore requests,
+    clears and returns every page again and again, which takes a fifth of the time of judging many
+    machines. The peak memory stays unchanged. Other C libraries keep their settings.
     """
     try:
         mallopt = ctypes.CDLL(None).mallopt
@@ -178,16 +178,17 @@ def keep_freed_memory() -> None:
 
 
 AT_ONCE = 256
-"""Variants per part: they share common calculations, and their samples fit the cache."""
+"""Largest number of variants per part. They share calculations, and their samples fit the cache."""
 _LEAST_WOUND = 16
-"""Least variants with products per part, if there are as many: their common part costs as much."""
+"""Smallest number of variants with products per part, if there are so many. The calculation that
+they share costs about as much as these variants."""
 _WOUND_BYTES = 256 << 20
-"""Memory of the rasters of a part, each variant with a product having its own."""
+"""Memory for the rasters of a part; each variant with a product has its own raster."""
 
 KEPT_S = 300.0
-"""Job that is kept in memory while it is judged repeatedly, whatever its ticks."""
+"""Longest job that is kept in memory between judgements, whatever its number of ticks, in s."""
 KEPT_TICKS = 500_000
-"""Ticks of a longer job that is kept as well: a winding of an hour has 5 ms each."""
+"""Most ticks of a longer job that is kept as well: a winding of an hour has ticks of 5 ms."""
 
 
 def kept_in_memory(plan: Plan) -> Plan:
@@ -211,14 +212,14 @@ def kept_in_memory(plan: Plan) -> Plan:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Variants:
-    """Machines to be judged: V of them.
+    """V machines to be judged.
 
     Parameters
     ----------
     numbers
-        Path of a number of the machine file to its (V,) SI values, at least one of them.
+        Dotted name of a number of the machine file -> its (V,) SI values; at least one number.
     phases
-        (V, axes) place of each encoder between two counts; 0.5 when None.
+        (V, axes) position of each encoder between two counts at the start, 0 to 1; None: 0.5.
     products
         (V, 5) parts of the tolerances of each variant's product, as ``with_products``; None for
         the product as it is.
@@ -256,16 +257,16 @@ class RunsJudge:
     settle_s
         Simulated time after the last row.
     threads
-        Number of parts under way at once; None: the number of cores.
+        Number of parts that are simulated at once; None: the number of cores.
     extremes
         Numbers of machines whose fastest rates bound the rates of all machines to be judged. With
-        them, a machine's result is the same to the bit, whichever others share its part. None:
+        them, a machine's result is the same to the bit, whichever machines share its part. None:
         results may differ by rounding.
 
     Raises
     ------
     SpecError
-        If a criterion names no measure.
+        If a criterion names an unknown measure.
     """
 
     def __init__(
@@ -299,15 +300,16 @@ class RunsJudge:
         done: Done | None = None,
         products: FloatArray | None = None,
     ) -> EachRun:
-        """Return the result of every variant, its numbers, phases and product as in ``Variants``.
+        """Return the result of every variant; the arguments are the fields of ``Variants``.
 
-        A variant that cannot be simulated, because its motion grows without bound or its modes
-        change without end, fails every criterion with a limit, with an infinite value.
+        A variant cannot be simulated if its motion grows without bound or its modes change without
+        end. It then fails every criterion that has a limit: the measured value is infinite.
 
         Parameters
         ----------
         done
-            Called as a part is read and after it, with the number of its variants since.
+            Called while a part is simulated and at its end, with the number of variants judged
+            since the last call; a part of the motion counts as a fraction.
         """
         values = Values.of(self._machine, variants)  # refuses a path that is not a number
         machines = Variants(numbers=values.replaced, phases=phases, products=products)
@@ -319,7 +321,7 @@ class RunsJudge:
     def judged_each(
         self, batches: Iterable[Variants], done: Done | None = None
     ) -> Iterator[EachRun]:
-        """Yield the result of each batch; the next ones are begun before one has ended."""
+        """Yield the result of each batch; the next batches begin before the first has ended."""
         waiting: deque[list[IntArray]] = deque()
 
         def items() -> Iterator[Variants]:
@@ -333,7 +335,7 @@ class RunsJudge:
             yield _in_order([first, *islice(found, len(places) - 1)], places)
 
     def answer(self, item: Variants, done: Done | None = None) -> EachRun:
-        """Return the results of one part, whose variants have one dead time."""
+        """Return the results of one part, whose variants all have the same dead times."""
         ((values, _),) = Values.of(self._machine, item.numbers).by_delay()
         so_far = _SoFar(values.count, self.plan, done)
         return self._part(values, item.phases, item.products, so_far)
@@ -351,7 +353,7 @@ class RunsJudge:
         return _runs_judge, state
 
     def _wound_at_once(self, count: int) -> int:
-        """Return how many of ``count`` variants with products are judged in a part."""
+        """Return the number of variants per part, for ``count`` variants with products."""
         most = min(AT_ONCE, max(_WOUND_BYTES // max(self._raster_bytes, 1), 1))
         return min(most, max(-(-count // self._threads), _LEAST_WOUND))
 
@@ -368,12 +370,13 @@ class RunsJudge:
         return self.judge.each(own)
 
     def _places(self, variants: Variants, *, whole: bool) -> Iterator[IntArray]:
-        """Yield the indices of each part of the variants; a part has one dead time.
+        """Yield the indices of each part of the variants; dead times are equal within a part.
 
         Parameters
         ----------
         whole
-            Whether nothing else is judged meanwhile: every worker then gets a part.
+            Whether no other variants are judged at the same time. The variants are then divided so
+            that every worker gets a part.
         """
         wound = variants.products is not None
         at_once = self._wound_at_once(variants.count) if wound else AT_ONCE
@@ -407,7 +410,8 @@ class RunsJudge:
             so_far.tell(1.0)
             return whole
         except MachineError:
-            # One variant without an answer ends its whole part: halve the part until it is alone.
+            # One variant that cannot be simulated ends the simulation of its whole part: halve the
+            # part until this variant is alone.
             if values.count == 1:
                 so_far.tell(1.0)
                 return self._own.without_answer()
@@ -428,7 +432,7 @@ class RunsJudge:
 def _runs_judge(
     plan: Plan, spec: Spec, machine: Machine, settle_s: float, rates: tuple[float, ...]
 ) -> RunsJudge:
-    """Return the copy of a judge in another process, where a part is judged in one thread."""
+    """Return the copy of a judge for another process, in which one thread judges a part."""
     found = RunsJudge(plan, spec, machine, settle_s=settle_s, threads=1)
     found._rates = rates
     return found
@@ -440,19 +444,19 @@ def _in_order(found: list[EachRun], places: list[IntArray]) -> EachRun:
 
 
 class _SoFar:
-    """Reports the variants of a part judged since its last report, as a share of its motion."""
+    """Reports progress of a part: the judged share of its motion times its number of variants."""
 
     def __init__(self, count: int, plan: Plan, done: Done | None) -> None:
         self._count, self._plan, self.done, self._share = count, plan, done, 0.0
 
     def tell(self, share: float) -> None:
-        """Report the judged share of the motion, if it has grown since the last report."""
+        """Report the growth of the judged share of the motion since the last report, if any."""
         if share > self._share and self.done is not None:
             self.done(self._count * (share - self._share))
             self._share = share
 
     def read(self, block: RecordingBlock) -> None:
-        """Tell that a block was judged; a second reading tells nothing new."""
+        """Report that a block was judged; reading it a second time reports nothing."""
         clock = self._plan.commands.clock
         done_s = float(clock.time_s(block.first_tick.get(clock.name, 0)))
         self.tell(min(done_s / max(self._plan.duration_s, 1e-9), 1.0))
@@ -460,7 +464,7 @@ class _SoFar:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Told:
-    """The blocks of a recording, which tell that they were read; they can be read again."""
+    """The blocks of a recording, re-iterable; each block read is reported to ``so_far``."""
 
     blocks: Iterable[RecordingBlock]
     so_far: _SoFar
@@ -472,5 +476,5 @@ class _Told:
 
 
 def _without_delays(machine: Machine, numbers: Mapping[str, FloatArray]) -> Values:
-    """Return the numbers without dead times, which do not affect the rates."""
+    """Return the numbers except dead times, which do not affect the rates."""
     return Values.of(machine, {k: v for k, v in numbers.items() if not k.endswith(".delay")})

@@ -39,7 +39,7 @@ class Group(StrEnum):
 
 
 class Door(StrEnum):
-    """Interface through which an option can be given; recordings and proofs only repeat it."""
+    """Interface through which an option can be given; recordings and proofs only store it."""
 
     LINE = "command line"
     PYTHON = "Python"
@@ -55,9 +55,9 @@ class FileForm:
     key
         Its name in the file.
     write
-        Returns the text of a value; None writes nothing.
+        Returns the text for a value; nothing is written if the text is None.
     read
-        Returns the value of a text.
+        Returns the value for a text.
     required
         Whether a recording without it is refused.
     """
@@ -81,7 +81,7 @@ class Option:
     group
         Purpose of the option.
     verbs
-        The verbs that take it.
+        The verbs that take this option.
     type, unit
         Type of the value, and its SI unit; empty for a value without a unit.
     default
@@ -94,21 +94,21 @@ class Option:
         Interfaces through which it can be given.
     attribute, parse
         The attribute of ``Options`` that holds its value, and the parser of its text; empty for an
-        option that ``options_of`` merges into another.
+        option that ``options_of`` merges into another option.
     recorded
-        How recordings and proofs write it; None if they do not.
+        How recordings and proofs write the option; None if they do not write it.
     helps
         Other help texts, by verb.
     short
         Short form on the command line.
     least, most
-        Limits of a whole number.
+        Smallest and largest value of a whole number.
     choices
-        The permitted texts, if they are few.
+        The permitted texts, if there are only a few.
     many
-        The verbs that take several values, separated by commas.
+        The verbs for which the option takes several values, separated by commas.
     label, placeholder
-        Its field on the panel's page; without a label the page has no field for it.
+        Label and placeholder of its field on the panel's page; without a label there is no field.
     most_text
         Longest text that the panel accepts.
     """
@@ -148,10 +148,10 @@ class Option:
         return f"--{self.name}"
 
     def default_of(self, verb: str) -> str | bool | None:
-        """Return the default of a verb; for ``judge`` None: the recording's value holds."""
+        """Return the default for a verb; None for ``judge``, which takes the recording's value."""
         open_ended = verb == "judge" and self.type is not Type.FLAG
         return None if open_ended or verb in self.many else self.defaults.get(verb, self.default)
 
     def help_of(self, verb: str) -> str:
-        """Return the help of a verb."""
+        """Return the help text for a verb."""
         return self.helps.get(verb, self.help)

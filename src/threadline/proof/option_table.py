@@ -50,7 +50,7 @@ PLANNERS = (
     "prove", "run", "compile", "equal", "compare", "fastest", "yield", "design", "animate", "judge",
     "learn", "panel",
 )  # fmt: skip
-"""The verbs that plan a job; ``panel`` is a calculation on the panel."""
+"""The verbs that plan a job; ``panel`` stands for a calculation on the panel."""
 _TYPED = tuple(verb for verb in PLANNERS if verb != "panel")
 PYTHON_VERBS = (
     "prove", "run", "fastest", "compare", "yield", "design", "judge", "compile", "equal", "learn",
@@ -58,9 +58,9 @@ PYTHON_VERBS = (
 """The verbs of ``import threadline as tl``."""
 _PYTHON_NAMES = {"yield": "yields"}
 PROGRAMMED = "programmed"
-"""Feed written into a recording whose plan keeps the feeds of its job."""
+"""Text that a recording has as its feed if the plan keeps the feeds of the job."""
 MOST_PROFILE = 20_000
-"""Longest text of the radii of a mandrel."""
+"""Longest text of the radii of a mandrel, in characters."""
 
 
 def _same(value: Any) -> str | None:
@@ -68,7 +68,7 @@ def _same(value: Any) -> str | None:
 
 
 def _exact(unit: str) -> Callable[[Any], str | None]:
-    """Return the writer of a number with its unit, to the last bit."""
+    """Return a function that writes a number with its unit, exact to the last bit."""
     return lambda value: None if value is None else f"{value!r} {unit}"
 
 
@@ -483,7 +483,7 @@ def option(name: str) -> Option:
 
 
 def python_name(verb: str) -> str:
-    """Return the name of the Python function of a verb: ``yield`` is a word of Python itself.
+    """Return the name of the Python function for a verb: ``yield`` is a keyword of Python.
 
     >>> python_name("yield"), python_name("prove")
     ('yields', 'prove')
@@ -492,7 +492,7 @@ def python_name(verb: str) -> str:
 
 
 def verb_of(name: str) -> str:
-    """Return the verb of a Python function.
+    """Return the verb that a Python function of ``import threadline as tl`` belongs to.
 
     >>> verb_of("yields"), verb_of("prove")
     ('yield', 'prove')
@@ -502,7 +502,7 @@ def verb_of(name: str) -> str:
 
 _BY_NAME = {one.name: one for one in TABLE}
 RECORDED = tuple((one, one.recorded) for one in TABLE if one.recorded is not None)
-"""The planning options that recordings and proofs write, with their form there."""
+"""The planning options that recordings and proofs write, each with its form in the file."""
 
 
 def options_for(
@@ -510,7 +510,7 @@ def options_for(
 ) -> tuple[Option, ...]:
     """Return the options of a verb at one interface."""
     among = tuple(groups)
-    listed = verb if door is Door.PYTHON else ""  # a list in Python is an argument of its own
+    listed = verb if door is Door.PYTHON else ""  # Python takes lists as arguments of functions
     return tuple(
         one
         for one in TABLE

@@ -1,4 +1,4 @@
-"""Parse option texts into numbers, and write numbers as option texts."""
+"""Convert option texts into numbers, and numbers into option texts."""
 
 from __future__ import annotations
 
@@ -20,16 +20,17 @@ F_UNIT = "mm/min"
 """The unit of a feed that is written as an F word without one."""
 _F_WORD = re.compile(r"\s*[Ff](?=[\s+.\d-])")
 MOST_RESERVE = 0.9
-"""Largest share of volts and current that a plan may leave to the loops, as in a machine file."""
+"""Largest share of voltage and current that a plan may reserve for the loops, as in a machine file.
+"""
 LEAST_SHARE = 1e-3
-"""Smallest share of the limits: a slower trajectory takes too long to compute."""
+"""Smallest share of the limits: with less, the trajectory takes too long to compute."""
 
 
 def parse_feed(text: str) -> Feed:
     """Return the feed written in ``text``: ``"10 count/tick"``, ``"36 mm/s"``, ``"2 stitch/s"``.
 
-    ``"F 3000"`` is the speed that this F word has by the job's rule for F, in mm/min. ``"120 %"``
-    is an override of each programmed feed.
+    ``"F 3000"`` is the speed, in mm/min, that the job's rule for F words gives to this F word.
+    ``"120 %"`` is an override: it multiplies each programmed feed.
 
     Raises
     ------
@@ -64,7 +65,7 @@ def parse_feed(text: str) -> Feed:
 
 
 def feed_words(feed: Feed) -> str:
-    """Return a feed as ``parse_feed`` reads it, to the last bit.
+    """Return the text of a feed; ``parse_feed`` reads the same feed back, to the last bit.
 
     >>> feed_words(parse_feed("F 3000")), feed_words(parse_feed("10 count/tick"))
     ('F 3000', '10.0 count/tick')
@@ -88,7 +89,7 @@ def _range(
     remedy: str = "",
     unit: str = "",
 ) -> Callable[[str], float]:
-    """Return the parser of an option with a number in a range; it raises an ``OptionError``."""
+    """Return a parser for a number in a range; it raises ``OptionError`` outside of the range."""
 
     def parse(text: str) -> float:
         value = parse_number(name, text, unit, example)
@@ -105,16 +106,16 @@ parse_outside_m = _range(
     "outside", "0.3 mm", lambda m: 0.0 <= m < math.inf, "at least 0",
     'Write it like "0.3 mm", or leave it out.', "m",
 )  # fmt: skip
-"""The largest distance of the path on the outside of corners, in m."""
+"""Parse the largest deviation of the path on the outside of corners; returns m."""
 parse_width_s = _range(
     "smoothing", "36 ms", lambda s: 1e-4 <= s <= 10.0, "at least 0.1 ms and at most 10 s", unit="s"
 )
-"""A smoothing time, in s."""
+"""Parse a smoothing time; returns s."""
 parse_share = _range(
     "limits", "25 %", lambda share: LEAST_SHARE <= share <= 1.0,
     f"at least {100.0 * LEAST_SHARE:g} % and at most 100 %", 'A quarter of the limits is "25 %".',
 )  # fmt: skip
-"""A share of the limits."""
+"""Parse a share of the acceleration and jerk limits."""
 parse_margin = _range(
     "margin", "20 %", lambda share: 0.0 <= share < 1.0, "at least 0 % and below 100 %",
     'Write it like "20 %".',
@@ -124,28 +125,28 @@ parse_ends = _range(
     "above 0 % and at most 200 % of the tolerances",
     'Machines at the ends of all tolerances are "100 %".',
 )  # fmt: skip
-"""The share of the tolerances whose end machines are judged."""
+"""Parse the share of the tolerances at whose ends machines are judged."""
 parse_band = _range(
     "band", "20 %", lambda share: 0.0 < share <= 0.6,
     "above 0 % and at most 60 % of the frequency",
     'Modes that may be a fifth off to either side are "20 %".',
 )  # fmt: skip
-"""The half width of a band, as a share of the frequency."""
+"""Parse the half width of a frequency band, as a share of the frequency."""
 parse_robust = _range(
     "robust", "100 %", lambda share: 0.0 <= share <= 2.0,
     "at least 0 % and at most 200 % of the tolerances",
     'All of them are "100 %", the nominal machine is "0 %".',
 )  # fmt: skip
-"""The share of the tolerances that a robust plan covers."""
+"""Parse the share of the tolerances that a robust plan covers."""
 parse_yield = _range(
     "yield", "99 %", lambda share: 0.0 < share < 1.0, "above 0 % and below 100 %",
     '99 of 100 machines in spec is "99 %"; no number of machines proves 100 %.',
 )  # fmt: skip
-"""A wanted yield, as a share."""
+"""Parse a wanted yield, as a share."""
 
 
 def tolerance_words(tolerance_m: float) -> str:
-    """Return a tolerance as it is typed, in mm, to four digits.
+    """Return the text of a tolerance in mm, rounded to four digits.
 
     >>> tolerance_words(8.74999e-5)
     '0.0875 mm'
@@ -154,7 +155,7 @@ def tolerance_words(tolerance_m: float) -> str:
 
 
 class Reserve(NamedTuple):
-    """Shares of the volts and of the current of a drive that a plan leaves to its loop."""
+    """Shares of the voltage and of the current of a drive that a plan reserves for its loop."""
 
     volts: float
     current: float
@@ -164,12 +165,12 @@ _RESERVED = re.compile(r"\s*volts\s+([^,]+),\s*current\s+([^,]+)")
 
 
 def parse_reserve(text: str) -> Reserve:
-    """Return the shares that a plan leaves to the loops: ``"2 %"``, ``"volts 1 %, current 3 %"``.
+    """Return the shares reserved for the loops: ``"2 %"``, ``"volts 1 %, current 3 %"``.
 
     Raises
     ------
     OptionError
-        If one is not at least 0 % and at most ``MOST_RESERVE``.
+        If a share is below 0 % or above ``MOST_RESERVE``.
     """
     both = _RESERVED.fullmatch(text)
     parts = (text, text) if both is None else both.groups()
@@ -184,7 +185,7 @@ def parse_reserve(text: str) -> Reserve:
 
 
 def reserve_words(reserve: Reserve) -> str:
-    """Return reserves as ``parse_reserve`` reads them, to the last bit.
+    """Return the text of reserves; ``parse_reserve`` reads the same reserves, to the last bit.
 
     >>> reserve_words(Reserve(0.02, 0.02)), reserve_words(Reserve(0.005, 0.03))
     ('2 %', 'volts 0.5 %, current 3 %')
@@ -194,7 +195,7 @@ def reserve_words(reserve: Reserve) -> str:
 
 
 Narrow = tuple[tuple[int, float], ...]
-"""Lines of a program, and the tolerance at the end of the move of each, m."""
+"""Line numbers of a program, each with the tolerance at the end of the move of this line, m."""
 
 
 def parse_narrow(text: str) -> Narrow:
@@ -203,7 +204,7 @@ def parse_narrow(text: str) -> Narrow:
     Raises
     ------
     OptionError
-        If a line is no whole number above 0 or stands twice, or a tolerance is not positive.
+        If a line is not a whole number above 0 or occurs twice, or a tolerance is not positive.
     """
     found: dict[int, float] = {}
     for part in text.split(","):
@@ -220,7 +221,9 @@ def parse_narrow(text: str) -> Narrow:
 
 
 def narrow_words(narrow: Narrow) -> str | None:
-    """Return tolerances at lines as ``parse_narrow`` reads them, to the last bit; None for none.
+    """Return the text of tolerances at lines, for ``parse_narrow``, exact to the last bit.
+
+    The result is None if there are no such lines.
 
     >>> narrow_words(((13, 0.00038),))
     '13: 0.38 mm'
@@ -249,12 +252,12 @@ def length_words(length_m: float) -> str:
 
 
 def parse_long_stitches(text: str) -> str:
-    """Return how long stitches of a design are sewn: ``travel``, ``split`` or ``refuse``.
+    """Return the treatment of overlong stitches of a design: ``travel``, ``split`` or ``refuse``.
 
     Raises
     ------
     OptionError
-        If it is another word.
+        If the text is another word.
     """
     if text not in LONG_STITCHES:
         raise OptionError(
@@ -269,7 +272,7 @@ def parse_contour_m(text: str) -> float:
     Raises
     ------
     OptionError
-        If it is not a length of at least ``LEAST_CONTOUR_M``.
+        If it is neither ``none`` nor a length of at least ``LEAST_CONTOUR_M``.
     """
     if text == NO_CONTOUR:
         return math.inf
@@ -298,7 +301,9 @@ def share_words(share: float) -> str:
 
 
 def recorded_share(share: float | None) -> str | None:
-    """Return a share in percent, as a plain number where percents would change its last bit.
+    """Return the text of a share for a recording: in percent, or as a plain number.
+
+    It is a plain number if the conversion to percent would change the last bit of the value.
 
     >>> recorded_share(0.25), recorded_share(0.0257)
     ('25.0 %', '0.0257')
@@ -321,5 +326,5 @@ def parse_damping(given: str | float) -> float:
 
 
 def parse_shaper_text(text: str) -> str | None:
-    """Return a shaper's text unchanged; None for ``none``, which shapes nothing."""
+    """Return a shaper's text unchanged; None for ``none``, which stands for no shaper."""
     return None if text == UNSHAPED_WORD else text

@@ -53,7 +53,7 @@ class PathChoice:
     outside_m
         Largest deviation on the outside of corners.
     narrow
-        Lines of the program, and the tolerance at the end of the move of each.
+        Line numbers of the program, each with the tolerance at the end of its move, m.
     """
 
     interpolation: str
@@ -69,24 +69,24 @@ class TimingChoice:
     Parameters
     ----------
     pace
-        As fast as the limits and the feed allow, as programmed, or by a law.
+        Whether each move is as fast as limits and feed allow, as programmed, or follows a law.
     law
-        Name of the motion law of each move; None for another pace.
+        Name of the motion law of each move; None if ``pace`` is not by a law.
     feed
         Replaces every programmed feed; None keeps the job's.
     limit_share
         Share of the machine's acceleration and jerk limits that may be used, in (0, 1].
     smoothing_s
-        Width in s of the moving averages that smooth the motion; None: as far as the jerk limits
+        Width in s of the moving averages that smooth the motion; None: as wide as the jerk limits
         require.
     shaper
-        Text of the shaper that the motion is convolved with; None shapes nothing.
+        Text of the shaper that the motion is convolved with; None for no shaper.
     contour_m
-        Allowed path deviation of the loads due to their loops' following error; infinite if the
-        timing has no such limit.
+        Allowed path deviation of the loads due to the following error of the loops; infinite for
+        no such limit.
     ends_m
         With ``optimal`` and feed-forward: allowed deviation of the loads from their motion at the
-        start and end of the table; None waits there until the inverse has settled.
+        start and end of the table. With None the table is extended until the inverse has settled.
     robust_share, change_s, reserve
         As in ``Options``.
     """
@@ -106,10 +106,10 @@ class TimingChoice:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Options:
-    """How a job is to be planned, as typed.
+    """The planning options of a job, as typed.
 
-    ``path``, ``timing`` and ``following`` are the three choices that follow from these words. One
-    word on the command line may decide two choices at once.
+    ``path``, ``timing`` and ``following`` are the three choices that follow from these options. One
+    option of the command line may decide two choices at once.
 
     Parameters
     ----------
@@ -123,12 +123,13 @@ class Options:
         Text of the rule for F of a part program if axes of several kinds move together; None: the
         reader's default.
     axes
-        Text of the letters of a program for axes of the machine, ``"C=A,Z=X"``; None: their own.
+        Text of the axis letters of the program for axes of the machine, ``"C=A,Z=X"``; None: the
+        letters are the names of the axes.
     radius
         Text of the radii at which rotary axes act in this job, ``"A=40 mm, B=2 mm"``; None: the
         machine's.
     product
-        Text of the product of a winder (``winding.product.product_text``), or None.
+        Text of the product of a winder (``winding.product.product_text``); None for none.
     offset
         Text of the machine position of the program's zero, ``"X=12 mm, A=30 deg"``; None: the
         machine's zero.
@@ -142,31 +143,34 @@ class Options:
     limit_share
         Share of the machine's acceleration and jerk limits that the planner uses, in (0, 1].
     shaper
-        Text of the shaper, or of one per axis, that the trajectory is convolved with, or None.
+        Text of the shaper, or of one shaper per axis, that the trajectory is convolved with; None
+        for no shaper.
     feed_forward_s
-        Smoothing time in s of feed-forward, which commands the exact inverses of the axes so that
-        the loads and not the motors follow the motion; ``auto`` then keeps every programmed time
-        exactly. None commands the motion itself.
+        Smoothing time in s of feed-forward. Feed-forward commands the exact inverses of the axes,
+        so that the loads, and not the motors, follow the motion; ``auto`` then keeps every
+        programmed time exactly. With None the references are the motion itself.
     shaper_mode, shaper_damping
-        Text of the frequency, and damping ratio, for on/off shapers that name none; None: the
-        machine's own.
+        Text of the frequency, and damping ratio, for on/off shapers that name no mode; None: the
+        mode of the machine.
     contour_m
-        With ``optimal``: allowed path deviation of the loads, at the tool, due to their loops'
-        following error; infinite for no limit, None for ``DEFAULT_CONTOUR_M``.
+        With ``optimal``: allowed path deviation of the loads, at the tool, due to the following
+        error of the loops; infinite for no limit, None for ``DEFAULT_CONTOUR_M``.
     robust_share
-        Share of the tolerances of loads and springs that feed-forward covers, in place of its
-        plain moving averages; None plans for the nominal machine only.
+        Share of the tolerances of loads and springs that feed-forward must cover. Optimised
+        averages then replace its plain moving averages. None plans for the nominal machine only.
     change_s
-        Time in which a robust plan may change the speed; None: from the needle of a seam.
+        Time in which a robust plan may change the speed; None: derived from the needle of a seam.
     outside_m
-        With ``optimal``: how far the path may leave the program on the outside of its corners, m.
+        With ``optimal``: largest deviation of the path on the outside of corners, m.
     reserve
-        With ``optimal``: share of volts and current that the plan leaves to the loops, in place of
-        the amplifiers' own; None: their own.
+        With ``optimal``: shares of voltage and current that the plan reserves for the loops; None:
+        the shares in the machine file.
     narrow
-        With ``optimal``: lines of the program, and the tolerance at the end of the move of each, m.
+        With ``optimal``: line numbers of the program, each with the tolerance at the end of its
+        move, m.
     table
-        Text of a learned table (``commands.learned``) that replaces the planned one, or None.
+        Text of a learned table (``commands.learned``) that replaces the planned table; None for
+        none.
     """
 
     interpolation: str = DEFAULT_INTERPOLATION
@@ -196,8 +200,9 @@ class Options:
     def on(self, machine: Machine) -> Options:
         """Return the options with the machine's default interpolation, if none was named.
 
-        If the machine's firmware plans the motion itself, the default is ``firmware``, since that
-        motion is the one to prove. Firmware cannot produce commands for the loads.
+        If the firmware of the machine plans the motion, the default is ``firmware``, because the
+        firmware's motion has to be proved. With feed-forward the default is another one: firmware
+        cannot compute references for the loads.
         """
         if self.interpolation != DEFAULT_INTERPOLATION:
             return self
@@ -216,9 +221,9 @@ class Options:
 
     @property
     def path(self) -> PathChoice:
-        """The shape of the path; with feed-forward ``auto`` means the programmed chords."""
+        """The choice of the path; with feed-forward ``auto`` means the programmed chords."""
         chords = self.feed_forward_s is not None and self.interpolation in USUAL
-        name = CHORDS if chords else self.interpolation  # a motion law follows chords, too
+        name = CHORDS if chords else self.interpolation  # a motion law also follows chords
         return PathChoice(
             interpolation=name,
             tolerance_m=self.tolerance_m,
@@ -228,7 +233,7 @@ class Options:
 
     @property
     def timing(self) -> TimingChoice:
-        """The timing along the path; chords keep their programmed times."""
+        """The choice of the timing along the path; chords keep their programmed times."""
         pace, law = Pace.LIMITED, None
         if self.interpolation.startswith(BY_LAW):
             pace, law = Pace.LAW, self.interpolation.removeprefix(BY_LAW)
@@ -250,7 +255,7 @@ class Options:
 
     @property
     def allowance_m(self) -> float:
-        """``contour_m``, or its default."""
+        """Allowed path deviation: ``contour_m``, or its default."""
         return DEFAULT_CONTOUR_M if self.contour_m is None else self.contour_m
 
     @property
@@ -261,7 +266,7 @@ class Options:
 
     @property
     def following(self) -> Following:
-        """Whether the motors or the loads follow the motion."""
+        """The third choice: whether the motors or the loads follow the motion."""
         return Following.MOTOR if self.feed_forward_s is None else Following.LOAD
 
 
@@ -273,14 +278,14 @@ def options_of(
     Parameters
     ----------
     interpolation, feed, tolerance, **words
-        Values by option; one that is left out, or None, has its default.
+        Values by option; an option that is left out, or None, has its default.
 
     Raises
     ------
     OptionError
-        If a word is unknown or unreadable, or excludes another: a smoothing without feed-forward,
-        a rule for F with a feed that replaces F, a law with another interpolation, or a contour
-        without ``optimal`` followed by the motors.
+        If a word is unknown or unreadable, or excludes another word: a smoothing without
+        feed-forward, a rule for F with a feed that replaces F, a law with another interpolation, or
+        a contour limit without ``optimal`` for the motors.
     """
     for word in words:
         if word not in _PLANNING:
@@ -392,7 +397,7 @@ def foreign_options(kind: str, machine: Machine, options: Options) -> list[str]:
 
 
 def refuse_axis_options(machine: Machine, options: Options) -> None:
-    """Refuse options of machines with axes: a schedule accepts only the shaper's options.
+    """Refuse options that apply only to axes: a schedule accepts only the options of shapers.
 
     Raises
     ------
@@ -417,7 +422,7 @@ def describe(job: Job, machine: Machine, options: Options) -> dict[str, str]:
         said["par"] = machine.parameters
     for one, recorded in RECORDED:
         value = getattr(options, one.attribute)
-        if recorded.key == _CONTOUR:  # write the default, too, but nothing if it bounds nothing
+        if recorded.key == _CONTOUR:  # write also the default, but nothing if it has no effect
             value = options.allowance_m if options.interpolation == OPTIMAL else None
         if (text := recorded.write(value)) is not None:
             said[recorded.key] = text
@@ -443,6 +448,7 @@ def options_from(description: dict[str, str]) -> Options:
             )
     of_loads = "feed-forward" in description and description["interpolation"] == OPTIMAL
     if _CONTOUR not in description and of_loads:
-        # A recording without a contour comes from a plan that waits for its inverses to settle.
+        # A recording without a contour limit comes from a plan whose table is extended until the
+        # inverses have settled.
         read["contour_m"] = math.inf
     return Options(**read)

@@ -1,4 +1,4 @@
-"""The level *over tolerances*: the worst machine that is found, and machines that are drawn."""
+"""The level *over tolerances*: the worst machine that a search finds, and drawn machines."""
 
 from __future__ import annotations
 
@@ -36,9 +36,9 @@ _MOST_SUSPECTS = 8
 Judged = tuple[Verdict, tuple[Recording, ...]]
 """A verdict, and the recordings that were judged."""
 RunsOf = Callable[[Machine, tuple[float, ...]], Judged]
-"""Judges a machine with a product at the given parts of its tolerances."""
+"""Judges a machine, with its product at the given parts of the product's tolerances."""
 Suspects = list[FloatArray]
-"""(n,) parts of machines that were the worst before; the last ones first."""
+"""(n,) parts of machines that were the worst of earlier plans; the most recent one first."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -48,12 +48,12 @@ class WorstCase:
     Parameters
     ----------
     verdict
-        The worst of the machine of the file and of all others.
+        Verdict with the worst result of each criterion over all judged machines.
     worst
-        The worst machine within the tolerances.
+        The worst machine that was found within the tolerances.
     judged
-        Recordings of the worst machine's runs; their numbers follow the numbers of the
-        nominal machine's recordings.
+        Recordings of the worst machine's runs. In the verdict the numbers of these runs follow the
+        numbers of the nominal machine's runs.
     """
 
     verdict: Verdict
@@ -72,25 +72,25 @@ def over_tolerances(
 ) -> WorstCase:
     """Judge the worst machine within the tolerances that a search finds, and drawn machines.
 
-    Machines are judged in one run each, the worst of them in as many as the machine of the file.
-    Encoders stand in the middle of a count.
+    Each machine is judged in one run, in which every encoder stands in the middle of a count at the
+    start. The worst machine is then judged in as many runs as the machine of the file.
 
     Parameters
     ----------
     plan
         The plan, with the machine whose numbers vary.
     verdict
-        The verdict on that machine.
+        The verdict on the machine of the plan.
     machines
         Number of machines to draw.
     runs_of
         Returns the verdict on another machine with its product, and its recordings.
     suspects
-        Machines that are tried first, on several days; the list takes the worst machine. The
-        judgement ends at the first machine that is out of specification. None: every machine is
-        judged. What passes with suspects passes without.
+        Machines to try first, on several days. This function adds the worst machine to the list,
+        and ends at the first machine that is out of specification. With None every machine is
+        judged. A plan that passes with suspects also passes without.
     """
-    from threadline.proof.worst_search import WorstSearch  # of this level alone
+    from threadline.proof.worst_search import WorstSearch  # only this level needs it
 
     within = WithinTolerances(plan, spec, with_product=True)
     hasty = suspects is not None
@@ -130,7 +130,7 @@ def _counted(progress: Progress | None, most: int) -> Done | None:
 
 
 def _days(within: WithinTolerances) -> Days:
-    """Return the days of the first runs that a verdict of the level *repeated* consists of."""
+    """Return the days of the first runs of a verdict of the level *repeated*."""
     return drawn_days(REPEATED_RUNS, len(within.plan.axes), np.random.default_rng(REPEAT_SEED))
 
 
@@ -176,7 +176,7 @@ def _found(
 
 
 def _closest(verdict: Verdict | None) -> tuple[str, float | None]:
-    """Return the criterion that counts most on the worst machine, and its used share."""
+    """Return the failed, else the tightest, criterion of a verdict, and its used share."""
     if verdict is None:
         return UNANSWERED, None
     failed = [r for r in verdict.results if r.status is Status.FAILED]
@@ -193,7 +193,7 @@ def _text(result: Result) -> str:
 
 
 def _numbered(verdict: Verdict, before: int) -> Verdict:
-    """Return a verdict with its runs numbered after the runs of the machine of the file."""
+    """Return a verdict whose run numbers follow the runs of the machine of the file."""
     results = [
         replace(r, run=before + (r.run or 1)) if r.of == "run" and r.time_s is not None else r
         for r in verdict.results

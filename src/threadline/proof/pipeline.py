@@ -56,26 +56,27 @@ class Trials:
     Parameters
     ----------
     repeats
-        Number of runs of the machine. The first has the machine as its file says; for the others,
-        friction is drawn within +-30 %, supply within +-5 %, and so are phases that nobody sets
-        (encoders, the PLC's scan), from a fixed seed. The spread of these runs is the
-        repeatability. Where twenty of them come near a limit, and machines are simulated in
-        batches, ``MOST_RUNS`` are simulated, or fewer of a long job.
+        Number of runs of the machine. The first run has the numbers of the machine file. For the
+        other runs friction is drawn within +-30 %, supply within +-5 %, and encoder phases and the
+        jitter of PLC scans at random, from a fixed seed; for step tables only damping is drawn,
+        within +-30 %. The spread of these runs is the repeatability. If twenty runs come near a
+        limit, and machines are simulated in batches, ``MOST_RUNS`` are simulated, or fewer for a
+        long job.
     machines
-        Number of other machines that are drawn over the tolerances of the file from a fixed seed;
-        without ``wanted_yield`` the worst machine within the tolerances is searched as well.
+        Number of machines that are drawn within the tolerances of the file from a fixed seed.
+        Without ``wanted_yield`` the worst machine within the tolerances is searched as well.
     wanted_yield
-        Wanted yield: the share of the drawn machines that must be in spec. None requires every
-        machine that is drawn or searched.
+        Smallest share of the drawn machines that must be in spec. With None every machine that is
+        drawn or searched must be in spec.
     ends
-        Share of the tolerances of loads and springs: machines at its ends are judged as well, in
-        one run each.
+        Machines whose loads and springs are at the ends of this share of their tolerances are
+        judged as well, in one run each.
     band
-        Share of the frequency of every mode: machines with modes all over that band are judged as
-        well, in one run each.
+        Half width of a band, as a share of the frequency of every mode. Machines with modes all
+        over this band are judged as well, in one run each.
     product
         Places of the numbers of the product within their tolerances, for every run; empty for the
-        product as it is.
+        nominal product.
     """
 
     repeats: int = 1
@@ -86,12 +87,13 @@ class Trials:
     product: tuple[float, ...] = ()
 
     def others(self, machine: Machine) -> dict[Literal["ends", "band"], Others]:
-        """Return the machines that must pass besides the drawn machines, by their option.
+        """Return the further machines that must pass, by the option that asks for them.
 
         Raises
         ------
         OptionError
-            If ``machine`` has no tolerance at whose ends others are, or no mode.
+            If ``ends`` is given and no load or spring of ``machine`` has a tolerance, or if
+            ``band`` is given and the machine has no spring.
         """
         found: dict[Literal["ends", "band"], Others] = {}
         if self.ends is not None:
@@ -102,12 +104,12 @@ class Trials:
 
     @property
     def alone(self) -> Trials:
-        """The same without the machines of ``others``."""
+        """The same trials without the machines of ``others``."""
         return replace(self, ends=None, band=None)
 
     @property
     def level(self) -> Level:
-        """How far a verdict over these runs reaches."""
+        """Level of a verdict over these runs."""
         return level_of(self.repeats, self.machines, self.wanted_yield)
 
 
@@ -117,7 +119,7 @@ TOLERANCES: Trials = Trials(repeats=REPEATED_RUNS, machines=200)
 
 
 def yielding(share: float) -> Trials:
-    """Return the trials that check a wanted yield, given as a share."""
+    """Return the trials that check whether ``share`` of the machines are in specification."""
     return Trials(repeats=REPEATED_RUNS, machines=1000, wanted_yield=share)
 
 
@@ -130,8 +132,8 @@ class Proof:
     recording
         The first run: the nominal machine, with every channel.
     judged
-        All judged recordings that are kept, the worst machine within the tolerances last;
-        one may hold several runs.
+        The judged recordings that are kept; a recording may hold several runs. The recordings of
+        the worst machine within the tolerances come last.
     runs
         Number of judged runs.
     actual
@@ -183,8 +185,8 @@ def open_job(job_file: Path, machine: Machine, options: Options) -> Job:
     JobError
         If it cannot be read.
     OptionError
-        If an option does not apply to this kind of machine, or the format or the machine does not
-        have the rule for F.
+        If an option does not apply to this kind of machine, or if the format of the job or the
+        machine does not have the given rule for F.
     """
     kind_of(machine).check_options(machine, options)
     reading = {} if options.dialect is None else {"dialect": options.dialect}
@@ -214,7 +216,7 @@ def plan_job(job: Job, machine: Machine, options: Options) -> Plan:
     kind.check_options(machine, options)
     known = with_radii(machine, options.radius)
     if options.product is not None:
-        from threadline.winding.product import with_mandrel  # of windings alone
+        from threadline.winding.product import with_mandrel  # only windings need it
 
         known = with_mandrel(known, options.product)
     plan = kind.plan(job, known, options)
@@ -278,17 +280,17 @@ def write(plan: Plan, target: str, out: str | Path, *, slower: bool = True) -> l
     Parameters
     ----------
     target
-        ``csv``: every tick on a line. ``npz``: the same as arrays. ``ticks``: the trajectory
+        ``csv``: a line for every tick. ``npz``: the same as arrays. ``ticks``: the trajectory
         array of the 1994 controller. ``nc``: the planned motion as a part program for LinuxCNC,
-        a block for each stretch of time. ``grbl``, ``fluidnc``, ``marlin``, ``klipper``,
+        a block for each interval of time. ``grbl``, ``fluidnc``, ``marlin``, ``klipper``,
         ``reprapfirmware``, ``linuxcnc``, ``fanuc``: chords for a controller that plans its own
-        ramps. ``st``: structured text for a PLC, its configuration in a second file. ``openplc``:
-        both in one file, as OpenPLC takes it. ``plcopen``:
-        the same as PLCopen XML. ``scl``: the same for a Siemens S7. ``steps``: step tables and
-        stitches, binary and CSV, with a manifest. ``t15``: a Saurer T15 card.
-        ``dst``, ``u01``: the design for Tajima's and Barudan's machines.
+        ramps. ``st``: structured text for a PLC, with the configuration in a second file.
+        ``openplc``: structured text and configuration in one file, for OpenPLC. ``plcopen``: both
+        as PLCopen XML. ``scl``: the program for a Siemens S7. ``steps``: step tables and stitches,
+        binary and CSV, with a manifest. ``t15``: a Saurer T15 card. ``dst``, ``u01``: the design
+        for machines of Tajima and of Barudan.
     slower
-        Whether a program may take longer on its firmware than the job as it stands.
+        Whether a program may take longer on its firmware than the original job.
 
     Returns
     -------
@@ -310,7 +312,7 @@ def write(plan: Plan, target: str, out: str | Path, *, slower: bool = True) -> l
         files = writer(plan, Path(out))
     if chosen.takes_shaped or not files:
         return files
-    # The written file was compared with the plan; the plan has a deviation of its own.
+    # The written file was compared with the plan; the plan itself deviates from the program.
     return [replace(files[0], facts=(*files[0].facts, _off_program(plan))), *files[1:]]
 
 
@@ -368,13 +370,14 @@ def prove_plan(
     judge
         A judge that has judged this plan by this spec before, to reuse its measures of the plan.
     suspects
-        For a search: machines that were out of specification before, as ``over_tolerances`` takes
-        them; the proof ends at the first machine that is out of specification.
+        For a search: the worst machines of earlier plans, as ``over_tolerances`` takes them; the
+        proof ends at the first machine that is out of specification.
 
     Raises
     ------
     OptionError
-        If other machines are wanted, and no number has a tolerance or there are no dynamics.
+        If ``trials`` asks for other machines, but no number has a tolerance or the machine file has
+        no dynamics.
     """
     judge = Judge(plan, spec) if judge is None else judge
     if trials != trials.alone:
@@ -395,7 +398,7 @@ def prove_plan(
     verdict, worst = judge.verdict(share.of(recordings)), None
     if trials.repeats == REPEATED_RUNS and verdict.near and kind.together(machine):
         more = _runs_within_reach(plan, spec)
-        if more > trials.repeats:  # the first of them are the same
+        if more > trials.repeats:  # the first ``trials.repeats`` runs are the same again
             again = kind.days(commands, machine, more, np.random.default_rng(REPEAT_SEED))
             recordings = of_product(again, trials.product)
             further = judge.verdict(Share(plan, progress, len(recordings)).of(recordings))
@@ -434,14 +437,14 @@ def prove_plan(
 
 
 def _runs_within_reach(plan: Plan, spec: Spec) -> int:
-    """Return how many runs of a plan are simulated where twenty come near a limit."""
+    """Return how many runs of a plan are simulated if twenty runs come near a limit."""
     tick_s = float(plan.machine.tick_clock.period_s)
     most = min(_MOST_SAMPLES / (plan.commands.tick_count() or 1), _MOST_HELD * tick_s / spec.lag_s)
     return min(MOST_RUNS, int(most))
 
 
 def _beside_first(verdict: Verdict, first: Verdict) -> Verdict:
-    """Return the verdict of many runs, with notes on the result of the first of them."""
+    """Return the verdict of many runs, with notes on the results of the first runs."""
     results = []
     for one, other in zip(verdict.results, first.results, strict=True):
         note = one.note
@@ -456,13 +459,13 @@ def _with_others(
     plan: Plan, spec: Spec, progress: Progress | None, trials: Trials, actual: Machine | None,
     judge: Judge, suspects: Suspects | None,
 ) -> Proof:  # fmt: skip
-    """Prove a plan, and judge it on the other machines that must pass as well."""
+    """Prove a plan, and judge it on the machines of ``trials.others``."""
     proof = prove_plan(plan, spec, progress, trials.alone, actual, judge, suspects)
     verdict = proof.verdict
     for name, others in trials.others(plan.machine if actual is None else actual).items():
         found = []
         for named, other in others.machines:
-            # Amplitudes that follow from place and speed go by the mode of the machine that ran.
+            # Amplitudes computed from place and speed depend on the mode of the machine that ran.
             own = Judge(replace(plan, machine=other), spec) if name == "band" else judge
             found.append((named, prove_plan(plan, spec, None, NOMINAL, other, own).verdict))
         verdict = worst_of(verdict, found, name)
@@ -478,11 +481,10 @@ def try_plan(
     *,
     progress: Progress | None = None,
 ) -> Proof:
-    """Prove a plan for a search; stop after runs that are out of spec.
+    """Prove a plan for a search; end early if the plan is out of spec.
 
-    The machine of the file comes first, in one run, and then in all. Of the machines within its
-    tolerances ``suspects`` come first; the list takes the machine that is out of spec. ``progress``
-    receives the share of the runs of the file's machine that is read.
+    The machine of the file is judged in one run, then in all runs. Then ``suspects`` are judged,
+    and the worst machine is added. ``progress`` gets the done share of the file machine's runs.
     """
     judge = Judge(plan, spec)
     stages = dict.fromkeys((NOMINAL, Trials(repeats=trials.repeats)))

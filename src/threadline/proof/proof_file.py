@@ -1,7 +1,7 @@
 """A proof as a file: hashes of all its inputs, and its verdict.
 
 Two proofs have equal hashes if they prove the same thing. ``docs/files.md`` defines each hash, so
-that another program can compare them; an executor calls ``check_proof`` before it moves.
+that another program can compare them. An executor calls ``check_proof`` before it moves a machine.
 
 A hash shows that nothing was changed since the file was written, but not who wrote it. A proof may
 be signed with a key (HMAC-SHA256): the signature shows that the writer had that key.
@@ -36,12 +36,12 @@ from threadline.verdict.rendering import criteria_json, tolerances_json
 FORMAT = "threadline proof 1"
 _MAX_BYTES = 64 << 20
 _NAMES = ("job", "machine", "par")
-"""Options that name files: the proof has the hashes of the files instead."""
+"""Options that name files; a proof holds the hashes of these files instead."""
 
 
 @dataclass(frozen=True, slots=True)
 class Difference:
-    """Something that has changed since the proof was made.
+    """A part of a proof that has changed since the proof was made.
 
     Parameters
     ----------
@@ -49,9 +49,9 @@ class Difference:
         ``"job"``, ``"machine"``, ``"actual"``, ``"options"``, ``"spec"``, ``"commands"`` or
         ``"threadline"``.
     name
-        Name of it in the proof.
+        Name of this part in the proof.
     proved, found
-        The hash (or version) in the proof, and the present one.
+        The hash (or version) in the proof, and the present hash (or version).
     """
 
     what: str
@@ -85,22 +85,22 @@ class ProofFile:
 
     @property
     def passed(self) -> bool:
-        """Whether its criteria give a verdict in specification."""
+        """Whether its criteria give a passed verdict."""
         return in_spec(self.content)
 
     @property
     def level(self) -> str:
-        """How far the verdict reaches: ``"nominal"``, ``"repeated"``, ``"over tolerances"``, ..."""
+        """Level of the verdict: ``"nominal"``, ``"repeated"``, ``"over tolerances"``, ..."""
         return str(self.content["level"])
 
     @property
     def signed(self) -> bool:
-        """Whether it has a signature, by any key."""
+        """Whether it has a signature, made with any key."""
         return "signature" in self.content
 
     @property
     def spec_path(self) -> Path | None:
-        """The file of the specification; None if it is the machine's own."""
+        """The file of the specification; None for the specification of the machine."""
         file = self.content["spec"]["file"]
         return None if file is None else self.path.parent / file
 
@@ -156,7 +156,7 @@ def proof_content(proof: Proof, folder: Path, key: bytes | None = None) -> dict[
 
 
 def write_proof(proof: Proof, path: str | Path, key: bytes | None = None) -> Written:
-    """Write a proof as a file; equal proofs give equal bytes.
+    """Write a proof as a file; equal proofs give files with equal bytes.
 
     Parameters
     ----------
@@ -166,14 +166,14 @@ def write_proof(proof: Proof, path: str | Path, key: bytes | None = None) -> Wri
     Raises
     ------
     RecordingError
-        If it cannot be written.
+        If the file cannot be written.
     """
     path = Path(path)
     return _write(proof_content(proof, path.parent, key), path)
 
 
 def _check_signature(proof: ProofFile, key: bytes) -> None:
-    """Refuse a proof that was not signed with ``key``, or was changed since."""
+    """Refuse a proof that was not signed with ``key``, or that was changed after signing."""
     place = Place(str(proof.path))
     if not proof.signed:
         raise ProofError(
@@ -234,7 +234,7 @@ def read_proof(path: str | Path, key: bytes | None = None) -> ProofFile:
     Raises
     ------
     ProofError
-        If the file is no proof, was changed since it was written, contradicts itself, or was not
+        If the file is not a proof, was changed since it was written, contradicts itself, or was not
         signed with the key.
     """
     path = Path(path)
@@ -300,14 +300,14 @@ def check_proof(
     plan
         The plan to be run; its commands are read once.
     spec
-        The specification that it must meet.
+        The specification that the plan must meet.
     actual
         The machine that runs the plan, if it is not the planned one.
 
     Raises
     ------
     ProofError
-        If the file is no proof, or its criteria differ from the specification whose hash it has.
+        If the file is not a proof, or its criteria differ from the specification whose hash it has.
     """
     known = proof if isinstance(proof, ProofFile) else read_proof(proof)
     found = {
@@ -331,9 +331,9 @@ def verify_proof(proof: ProofFile | str | Path) -> tuple[Difference, ...]:
     Raises
     ------
     ProofError
-        If the file is no proof.
+        If the file is not a proof.
     InputError
-        If one of its files cannot be read, or the job cannot be planned any more.
+        If one of the named files cannot be read, or the job can no longer be planned.
     """
     known = proof if isinstance(proof, ProofFile) else read_proof(proof)
     folder = known.path.parent
@@ -345,14 +345,14 @@ def verify_proof(proof: ProofFile | str | Path) -> tuple[Difference, ...]:
     job = open_job(folder / content["job"]["file"], machine, options)
     early = _differences(known, _read_sha256(job.sha256, machine, actual))
     if early:
-        # Planning something else would only report the same difference again.
+        # A plan from other files would only report the same difference again.
         return tuple(early)
     plan = plan_job(job, machine, options)
     return check_proof(known, plan, with_shaping(spec, machine, options), actual)
 
 
 def options_sha256(plan: Plan) -> str:
-    """Return the hash of the planning options, as a proof has it."""
+    """Return the hash of the planning options, as it stands in a proof."""
     return canonical_sha256(_given(plan))
 
 
@@ -415,7 +415,10 @@ def _beside(file: str, folder: Path) -> str:
 
 
 def _entries(place: Place, pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    """Return the entries of an object; readers differ in which of two with one name counts."""
+    """Return the entries of a JSON object; refuse two entries with the same name.
+
+    Readers of JSON differ in which of the two entries they take.
+    """
     found = dict(pairs)
     if len(found) < len(pairs):
         names = [name for name, _ in pairs]

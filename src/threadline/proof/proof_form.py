@@ -1,10 +1,10 @@
 """The form of a proof file: required entries, their types, and freedom from contradiction.
 
-Anybody can write a file with a valid hash. So the claims of a proof (whether the work is in
-specification, and at which level) are derived from its criteria, and the criteria must equal the
-criteria of the specification. Only the measured values are taken as written, since only a
-simulation gives them: proving again shows whether they are right, as equal proofs have equal bytes,
-and a signature shows who wrote them.
+Anybody can write a file with a valid hash. Therefore the claims of a proof (whether the work is in
+specification, and at which level) are derived from its criteria, and its criteria must equal the
+criteria of the specification. Only the measured values are accepted without a check, because only a
+simulation can give them. Proving again shows whether they are right, since equal proofs have equal
+bytes, and a signature shows who wrote them.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from threadline.verdict.switch_run import steps_judged
 from threadline.verdict.types import Criterion, Level, Status, level_of
 
 _Form = Mapping[str, Any] | list[Any] | type | UnionType
-"""Entries by name; a list with one form for all its entries; or a type."""
+"""Form of a value: a mapping from entry to form, a list with the form of all items, or a type."""
 _MACHINE: _Form = {"name": str, "reference": str, "par": str | None, "sha256": str}
 _CRITERION: _Form = {
     "name": str,
@@ -55,7 +55,7 @@ _PROOF: Mapping[str, _Form] = {
 _HASHED = ("job", "machine", "actual", "options", "spec", "commands")
 _SHA256 = re.compile("[0-9a-f]{64}")
 _MOST_MACHINES = 1_000_000
-"""Far beyond what ``--tolerances``, ``--yield`` and ``--ends`` ask for."""
+"""Largest accepted number of machines, far more than ``--tolerances`` and ``--yield`` judge."""
 _TOLERANCES: _Form = {
     "worst_share": float | int | None,
     "worst_criterion": str,
@@ -66,15 +66,15 @@ _TOLERANCES: _Form = {
     "confidence": float | int,
 }
 _ROUNDED = 1e-9
-"""Rounding of a value at an end of its range, and of a bound that is computed again."""
+"""Allowed rounding error of a value at an end of its range, and of a recomputed bound."""
 _MOST = 1e100
-"""Far beyond what any criterion can measure."""
+"""Largest accepted value, far beyond what any criterion can measure."""
 _OF_MACHINES = (REJECTS, UNANSWERED)
-"""Criteria of many machines together, which no specification names."""
+"""Criteria over many machines together, which no specification names."""
 
 
 def malformed_entry(content: Mapping[str, Any]) -> str:
-    """Return the name of the first entry that is missing or has a wrong type; else empty.
+    """Return the name of the first entry that is missing or has a wrong type; empty if none is.
 
     Parameters
     ----------
@@ -162,7 +162,7 @@ def _contradictions(content: Mapping[str, Any]) -> Iterator[str]:
 
 
 def _of_tolerances(content: Mapping[str, Any]) -> Iterator[str]:
-    """Yield the contradictions in the results of a proof for other machines."""
+    """Yield the contradictions in a proof's results for machines within the tolerances."""
     row, over = content.get("tolerances"), content["level"] == Level.TOLERANCES
     if row is None or not over:
         if over or row is not None:
@@ -198,7 +198,7 @@ def _of_tolerances(content: Mapping[str, Any]) -> Iterator[str]:
 
 
 def _of_rejects(criteria: list[Any], machines: int) -> Iterator[str]:
-    """Yield how the share of rejects is better than so many machines can show."""
+    """Yield a contradiction if the share of rejects is below the bound for so many machines."""
     for criterion in criteria:
         measured = criterion["measured"]
         if criterion["name"] == REJECTS and measured is not None and machines > 0:
@@ -211,7 +211,7 @@ def _of_rejects(criteria: list[Any], machines: int) -> Iterator[str]:
 
 
 def in_spec(content: Mapping[str, Any]) -> bool:
-    """Return whether the criteria of a proof give a verdict in specification."""
+    """Return whether the criteria of a proof give a passed verdict."""
     verdict = content["verdict"]
     return not verdict.get("incomplete") and not _against(verdict["criteria"])
 
@@ -250,7 +250,7 @@ def _of_criterion(criterion: Mapping[str, Any]) -> str:
     if outside:
         return outside
     if measured is None:
-        # An infinite time is written as no number, and fails any limit.
+        # An infinite time is written as null, and fails any limit.
         endless = criterion["unit"] == "s" and status == (
             Status.REPORTED if limit is None else Status.FAILED
         )
@@ -267,7 +267,7 @@ def _of_criterion(criterion: Mapping[str, Any]) -> str:
 
 
 def _out_of_range(criterion: Mapping[str, Any], kind: MeasureKind | None) -> str:
-    """Return how a value or limit is one that its criterion cannot have; empty if it can."""
+    """Return which value or limit lies outside the range of its criterion; empty if none does."""
     name, measured = _name(criterion), criterion["measured"]
     for number in (measured, criterion["limit"]):
         if number is not None and abs(number) > _MOST:
@@ -280,7 +280,7 @@ def _out_of_range(criterion: Mapping[str, Any], kind: MeasureKind | None) -> str
 
 
 def criteria_difference(content: Mapping[str, Any], plan: Plan, spec: Spec) -> str:
-    """Return how the criteria of a proof differ from plan and specification; else empty.
+    """Return how the criteria of a proof differ from plan and specification; empty if they agree.
 
     Parameters
     ----------
@@ -289,7 +289,7 @@ def criteria_difference(content: Mapping[str, Any], plan: Plan, spec: Spec) -> s
     plan
         The proved plan.
     spec
-        The specification that it was judged by.
+        The specification by which the plan was judged.
     """
     alone = content["level"] == Level.LIMITS
     if alone and not plan.machine.without_dynamics:
@@ -318,7 +318,7 @@ def criteria_difference(content: Mapping[str, Any], plan: Plan, spec: Spec) -> s
 
 
 def _unasked(row: Mapping[str, Any], criteria: tuple[Criterion, ...], plan: Plan) -> str:
-    """Return how a criterion of a proof is not one of the specification."""
+    """Return how a criterion of a proof differs from the specification; empty if it agrees."""
     axis, step = row["axis"] or "", row.get("step", "")
     mine = [
         criterion
@@ -345,7 +345,7 @@ def _unasked(row: Mapping[str, Any], criteria: tuple[Criterion, ...], plan: Plan
 
 
 def _missing(rows: list[Any], criteria: tuple[Criterion, ...], plan: Plan) -> Iterator[str]:
-    """Yield criteria of the specification, for an axis or the tool, that a proof leaves out."""
+    """Yield the criteria of the specification, by axis or for the tool, that a proof lacks."""
     known = {(row["name"], row["axis"] or "") for row in rows}
     for criterion in criteria:
         axes: tuple[str, ...] = ("",)
@@ -361,7 +361,7 @@ def _missing(rows: list[Any], criteria: tuple[Criterion, ...], plan: Plan) -> It
 
 
 def _missing_steps(rows: list[Any], criteria: tuple[Criterion, ...], plan: Plan) -> Iterator[str]:
-    """Yield steps of a move list that a criterion judged step by step leaves out."""
+    """Yield the steps of a move list that a proof lacks in a criterion judged step by step."""
     judged = steps_judged(plan)
     known = {(row["name"], row["axis"] or "", row.get("step") or "") for row in rows}
     stepped = {(name, axis) for name, axis, step in known if step}
@@ -377,7 +377,7 @@ def _missing_steps(rows: list[Any], criteria: tuple[Criterion, ...], plan: Plan)
 
 
 def _too_few_runs(rows: list[Any], criteria: tuple[Criterion, ...], runs: int) -> Iterator[str]:
-    """Yield criteria that compare more runs than there were, and were measured."""
+    """Yield measured criteria that compare more runs than the proof has."""
     measured = {row["name"] for row in rows if row["measured"] is not None}
     for criterion in criteria:
         kind = MEASURES[criterion.name]

@@ -23,7 +23,7 @@ _PLACES = {
     "job": ("file",), "spec": ("file",), "machine": ("reference", "par"),
     "actual": ("reference", "par"),
 }  # fmt: skip
-"""Entries that locate a file; its hash identifies the content."""
+"""Entries that only locate a file; the hash of the file identifies its content."""
 
 
 def read_key(path: str | Path) -> bytes:
@@ -32,11 +32,12 @@ def read_key(path: str | Path) -> bytes:
     Raises
     ------
     OptionError
-        If it cannot be read, or is shorter than 16 bytes or longer than 65 536.
+        If the file cannot be read, or the key is shorter than 16 bytes or longer than 65 536.
     """
     path = Path(path)
     try:
-        # Not the usual reader: it lists inputs, which a run copies to its folder.
+        # The usual reader would note the key as an input, and a run copies its inputs to its
+        # folder.
         if not path.is_file():
             raise FileNotFoundError(ENOENT, "there is no such file")
         with path.open("rb") as file:
@@ -55,7 +56,7 @@ def read_key(path: str | Path) -> bytes:
 
 
 def signature(content: Mapping[str, Any], key: bytes) -> str:
-    """Return the signature of a proof, which does not depend on the place of its files."""
+    """Return the signature of a proof; the folders of its files do not affect it."""
     signed = {k: v for k, v in content.items() if k not in {"sha256", "signature"}}
     for what, places in _PLACES.items():
         if signed[what] is not None:

@@ -1,4 +1,4 @@
-"""Judge recordings by their own plan and specification; warnings about job, machine and plan."""
+"""Judge recordings by the plan and specification that they name; warnings about job and plan."""
 
 from __future__ import annotations
 
@@ -54,14 +54,14 @@ def judge_files(
     Parameters
     ----------
     recordings
-        Their files.
+        The files of the recordings.
     words
-        Options of ``judge``. An option that is left out comes from the recording, else it has its
-        default.
+        Options of ``judge``. An option that is left out is taken from the recording; if the
+        recording does not have it either, it has its default.
     job, machine
-        The job and the machine, if the recording does not name them or others are meant.
+        The job and the machine, if the recording does not name them; None: as it names them.
     read_one
-        Reads a file.
+        Reads one file.
 
     Raises
     ------
@@ -124,7 +124,7 @@ def _given(
 
 
 def _origin(path: Path, recording: Recording, given: Mapping[str, str | None]) -> dict[str, str]:
-    """Return the options of the recorded plan: given, else recorded, else default."""
+    """Return the options of the recorded plan: each as given, else as recorded, else default."""
     found = {
         "interpolation": DEFAULT_INTERPOLATION,
         "feed": "programmed",
@@ -159,7 +159,7 @@ def refuse_other_files(path: Path, recording: Recording, job: Job, ran: Machine)
 
 
 def _refuse_copies(recordings: Sequence[Path]) -> None:
-    """Refuse one run given twice: it would count as perfect repeatability."""
+    """Refuse a run that is given twice: it would look like perfect repeatability."""
     seen: dict[str, Path] = {}
     for path in recordings if len(recordings) > 1 else ():
         if path.is_file():
@@ -173,9 +173,9 @@ def _refuse_copies(recordings: Sequence[Path]) -> None:
 
 
 def _refuse_other_options(path: Path, recorded: Mapping[str, str], chosen: dict[str, str]) -> None:
-    """Refuse a plan made with other options than the run that it would judge."""
+    """Refuse options that differ from the options of the recorded run."""
     if not recorded:
-        return  # from another controller: it names no plan
+        return  # a trace of another controller names no plan
     for key in _PLANNED_WITH:
         ours = {name: text for name, text in chosen.items() if name != key}
         if key in recorded:
@@ -197,11 +197,11 @@ LIMIT = 0.05
 """Relative error of a stitch's time up to which no warning is given, if the specification has no
 limit of ``stitch_length_error``."""
 _RUNS = 16
-_ROUNDING = 1e-6  # relative: of values measured at points of the path
+_ROUNDING = 1e-6  # relative rounding error of a deviation that is measured at points of the path
 
 
 def warnings_of(proof: Proof) -> list[str]:
-    """Return every warning of a proof: about its machine, job, plan and verdict."""
+    """Return all warnings of a proof: about its machine, job, plan and verdict."""
     plan = proof.plan
     return [
         *plausibility_warnings(plan.machine),
@@ -214,12 +214,12 @@ def warnings_of(proof: Proof) -> list[str]:
 
 
 def warnings_of_all(proofs: Sequence[Proof]) -> list[str]:
-    """Return the warnings of several proofs, each once."""
+    """Return the warnings of several proofs, without repetitions."""
     return list(dict.fromkeys(said for proof in proofs for said in warnings_of(proof)))
 
 
 def tolerance_warnings(plan: Plan) -> list[str]:
-    """Return a warning if the planned path deviates from the programmed one by too much."""
+    """Return a warning if the planned path deviates from the program by more than the tolerance."""
     if MEASURES["path_deviation"].of_plan(plan) is None or _keeps(plan):
         return []
     (worst,) = measure_path_deviation(plan)
@@ -227,7 +227,7 @@ def tolerance_warnings(plan: Plan) -> list[str]:
 
 
 def proof_warnings(proof: Proof) -> list[str]:
-    """Return the warning of ``tolerance_warnings`` for a proof, whose verdict has the deviation."""
+    """Return the warning of ``tolerance_warnings``, with the deviation from a proof's verdict."""
     found = [r for r in proof.verdict.results if r.name == "path_deviation"]
     if not found or found[0].measured is None or _keeps(proof.plan):
         return []
@@ -236,7 +236,7 @@ def proof_warnings(proof: Proof) -> list[str]:
 
 def _keeps(plan: Plan) -> bool:
     name = plan.motion.path.interpolation
-    beside = "outside" in plan.options  # corners that reach into each other add up
+    beside = "outside" in plan.options  # the deviations of adjacent corners may then add up
     return (name in KEEPING_TOLERANCE and not beside) or on_chords(name)
 
 
@@ -254,10 +254,10 @@ def _deviation_warnings(plan: Plan, deviation_m: float | None, line: int | None)
 
 
 def needle_warnings(proof: Proof) -> list[str]:
-    """Return a warning if a stitch takes much more or less than a turn of an even needle.
+    """Return a warning if the time of a stitch differs much from a turn of an even needle.
 
-    The limit is the limit of ``stitch_length_error``: with an evenly turning needle, a relative
-    error of time would be the same relative error of length.
+    The limit is the limit of ``stitch_length_error``: if the needle turns evenly, a relative error
+    of a stitch's time causes the same relative error of its length.
     """
     found = {result.name: result for result in proof.verdict.results}
     time, length = found.get("needle_time_error"), found.get("stitch_length_error")

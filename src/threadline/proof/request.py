@@ -40,7 +40,7 @@ _LEVELS = {"nominal": NOMINAL, "repeated": REPEATED, "over tolerances": TOLERANC
 
 
 def chosen_machine(machine: str | Path | Machine, par: str | Path | None = None) -> Machine:
-    """Return a machine of the library or of a file, with the settings of an FW-CNC.PAR if given.
+    """Return a machine of the library or of a file, with the settings of the file ``par`` if given.
 
     Raises
     ------
@@ -65,7 +65,7 @@ class Words:
     verb
         Name of the verb in the table of options.
     given
-        Values by option, given or default; every option of the verb is there.
+        Value of every option of the verb, as given or by default.
     """
 
     verb: str
@@ -78,7 +78,7 @@ class Words:
         Raises
         ------
         OptionError
-            If a word is not an option of the verb, or has another type in Python.
+            If a word is not an option of the verb, or its value has the wrong type.
         """
         if door is Door.PYTHON:
             for one in options_for(verb, door):
@@ -128,12 +128,12 @@ class Words:
     def options(self, job: str | Path | None = None, **changed: Word) -> Options:
         """Return the planning options; ``changed`` replaces words.
 
-        A ``job`` that is a winding is judged on its own product, unless another is given.
+        A ``job`` that is a winding is judged on its own product, unless the words name a product.
 
         Raises
         ------
         OptionError
-            If a word cannot be read, or two exclude each other.
+            If a word cannot be read, or two words exclude each other.
         """
         given = {**self.planning(), **changed}
         if job is not None and "product" in given and given["product"] is None:
@@ -149,8 +149,9 @@ class Words:
     ) -> list[Options]:
         """Return planning options of a job for each interpolation, feed and shaper.
 
-        ``contour`` and its like apply only to ``optimal``, ``robust`` only to the
-        default interpolation, and ``mode`` only to a shaper: the other compared plans leave it out.
+        ``contour`` and the other options of ``optimal`` are left out of plans with another
+        interpolation, ``robust`` of plans with another interpolation than the default, and ``mode``
+        and ``damping`` of plans without a shaper.
 
         Raises
         ------
@@ -174,29 +175,31 @@ class Words:
         return found
 
     def trials(self, ends: str | None = None) -> Trials:
-        """Return the runs that make up a verdict; ``ends`` replaces that word.
+        """Return the runs that make up a verdict; ``ends`` replaces the given word ``ends``.
 
         Raises
         ------
         OptionError
-            If the words ask for several levels, or one cannot be read.
+            If the words ask for several levels, or a word cannot be read.
         """
         words = {name: self.given.get(name) for name in _OF_LEVEL}
         return trials_of(**{**words, **({} if ends is None else {"ends": ends})})
 
     @contextmanager
     def judging(self, tell: Callable[[str], None] | None = None) -> Iterator[None]:
-        """Let the workers of ``cluster`` judge all machines inside; without it, this computer.
+        """Let the workers of ``cluster`` judge the machines of the block.
+
+        Without ``cluster`` this computer judges them.
 
         Parameters
         ----------
         tell
-            Called with the cluster in words.
+            Called with a description of the cluster.
 
         Raises
         ------
         OptionError, LinkFaultError
-            If no machines would be judged there, or the cluster cannot be used.
+            If these options judge no machines on a cluster, or the cluster cannot be used.
         """
         address = self.text("cluster")
         if address is None:
@@ -215,13 +218,16 @@ class Words:
                     "--cluster judges machines within the tolerances, and this search judges none",
                     remedy="Give --tolerances, or leave --cluster out.",
                 )
-        from threadline.base.cluster import on_cluster  # few searches go there
+        from threadline.base.cluster import on_cluster  # few searches use a cluster
 
         with on_cluster(address, tell or (lambda _: None)):
             yield
 
     def changed(self, **changed: Word) -> dict[str, Word]:
-        """Return the planning words that differ from the defaults of ``prove``."""
+        """Return the planning words that differ from the defaults of ``prove``.
+
+        ``changed`` replaces words before the comparison.
+        """
         known = {one.word: one for one in options_for("prove", groups=[Group.PLAN])}
         words = {**self.planning(), **changed}
         return {
@@ -231,9 +237,9 @@ class Words:
         }
 
     def typed(self, verb: str = "prove", **changed: Word) -> dict[str, str | Path | None]:
-        """Return the options, as typed, with which a command of ``verb`` makes the same plan.
+        """Return the options, as typed, with which the command ``verb`` makes the same plan.
 
-        Defaults of that verb are left out, and so is the level.
+        Defaults of that verb and the options of the level are left out.
         """
         given = {**self.given, **changed}
         typed: dict[str, str | Path | None] = {}
@@ -250,7 +256,7 @@ def known_words(verb: str, door: Door, words: Mapping[str, Word]) -> dict[str, W
     Raises
     ------
     OptionError
-        If a word is not an option of the verb, or not one of its choices.
+        If a word is not an option of the verb, or its value is not one of the choices.
     """
     taken = {one.word: one for one in options_for(verb, door)}
     for word, value in words.items():
@@ -282,12 +288,12 @@ def trials_of(
     ends: Word = None,
     band: Word = None,
 ) -> Trials:
-    """Return the level that the words ask for: its number of runs and of machines.
+    """Return the trials that the words ask for: the numbers of runs and of machines.
 
     Raises
     ------
     OptionError
-        If they ask for several levels, or the wanted yield is no share.
+        If the words ask for several levels, or the wanted yield is not a share.
     """
     given = {
         "--nominal": bool(nominal),
@@ -343,8 +349,8 @@ def check_target(target: str, machine: Machine, options: Options) -> None:
     Raises
     ------
     OptionError
-        If the target is unknown or belongs to another kind of machine, an option has no meaning
-        for this kind, or the target cannot write a reference for every tick.
+        If the target is unknown or belongs to another kind of machine, if an option has no meaning
+        for this kind, or if the plan needs a reference at every tick that the target cannot write.
     """
     kind = kind_of(machine)
     kind.check_options(machine, options)
@@ -360,7 +366,7 @@ def check_target(target: str, machine: Machine, options: Options) -> None:
 
 
 def level_option(trials: Trials) -> dict[str, str]:
-    """Return the options, with values, that select the level ``trials``; none for the default."""
+    """Return the options, with values, that select the level of ``trials``; {} for the default."""
     others = {"--ends": trials.ends, "--band": trials.band}
     if trials != trials.alone:
         shares = {name: f"{100.0 * n:.12g} %" for name, n in others.items() if n is not None}
@@ -402,7 +408,7 @@ _OTHER_ARGUMENTS = {
 
 
 def as_arguments(text: str) -> str:
-    """Return a message with the arguments of Python in place of the options of the command line.
+    """Return a message in which command-line options are replaced by Python arguments.
 
     >>> as_arguments('--low "1 m/s" is above --high. Leave --feed-forward out.')
     'low="1 m/s" is above high=. Leave feed_forward=True out.'
@@ -421,7 +427,7 @@ def as_arguments(text: str) -> str:
 
 
 def _taken(one: Option, verb: str) -> Any:
-    """Return the types of the values of an option of a verb in Python."""
+    """Return the Python types that an option of a verb accepts."""
     _, plain = _PYTHON[one.type]
     return plain if one.default_of(verb) is not None else plain | None
 
@@ -438,7 +444,7 @@ _PYTHON: Mapping[Type, tuple[str, Any]] = {
 
 
 def in_arguments(function: Callable[P, T]) -> Callable[P, T]:
-    """Return a function whose errors name arguments where the command line names options."""
+    """Return the function with errors that name Python arguments instead of options."""
 
     @wraps(function)
     def verb(*positional: P.args, **named: P.kwargs) -> T:
@@ -453,9 +459,9 @@ def in_arguments(function: Callable[P, T]) -> Callable[P, T]:
 
 
 def with_options(function: VerbT) -> VerbT:
-    """Give a function the signature that lists every option of its verb, with its default.
+    """Return the function with a signature that lists every option of its verb, with its default.
 
-    Its errors name arguments of the function where the command line names options.
+    Its errors name Python arguments instead of command-line options.
     """
     verb = in_arguments(function)
     named = verb_of(function.__name__)

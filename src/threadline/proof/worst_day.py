@@ -1,10 +1,13 @@
 """The worst day of a machine that a search finds, and the worst machine on its worst day.
 
-``repeated`` draws days and says for what share of all days their worst holds, and ``over
-tolerances`` searches machines on few days. A search of plans keeps the plan that passes by the
-least, so its answer needs more: a day that is looked for, and over tolerances a machine together
-with its day. The runs begin as drawn ones, or as the worst machines known. Then the worst of all so
-far are changed a little, by steps that shrink from round to round.
+A *day* is a set of values that vary from run to run, such as friction and supply. The level
+``repeated`` draws days and states which share of all days is no worse than the worst of them. The
+level ``over tolerances`` searches machines on a few days. A search for the fastest plan keeps the
+plan that passes with the smallest margin, so its result needs a stricter test: a search for the
+worst day, and for ``over tolerances`` a search for the worst machine together with its worst day.
+
+The search begins with drawn days, or with the worst known machines on drawn days. Each round
+changes the worst runs found so far a little, by steps that shrink from round to round.
 """
 
 from __future__ import annotations
@@ -31,21 +34,22 @@ from threadline.verdict.replayed import product_of
 from threadline.verdict.types import REPEATED_RUNS, SearchedDays
 
 ROUNDS, CHANGED, KEPT = 8, 256, 32
-"""Rounds of changes, changed runs of a round, and the worst runs that they begin at."""
+"""Number of rounds, number of changed runs per round, and number of worst runs that are changed."""
 ROUNDS_ALONE, CHANGED_ALONE, KEPT_ALONE = 3, 8, 4
-"""The same where runs are simulated one by one, a fifth of a second each."""
+"""The same numbers for runs that are simulated one by one, a fifth of a second each."""
 ROUNDS_OF_MACHINES, CLIMBS = 16, 2
-"""Rounds of a search that changes machine and day together, and searches from different seeds."""
+"""Number of rounds of a search that changes machine and day together, and number of such searches,
+each from its own seed."""
 LEFT_FREE = 0.005
-"""Share of every limit that the worst machine of this search must leave free: from seed to seed its
-worst differed by up to 0.2 % of a limit, and the independent search found 0.2 % more."""
-_FIRST, _SHRINK = 0.2, 0.6  # of each range: the first step, and the next of each
+"""Share of every limit that the worst machine of this search must leave free. The worst values of
+two seeds differed by up to 0.2 % of a limit, and an independent search found 0.2 % more."""
+_FIRST, _SHRINK = 0.2, 0.6  # first step, as a share of each range; ratio of a step to the last one
 _SHRINK_OF_MACHINES = 0.77
-_MOST_SAMPLES, _MOST_OF_MACHINES = 5e7, 2e8  # ticks times runs: half a minute, and two
-_REPLAYED = 10  # times as long, where the fibre of every run is replayed
-_MOVED = 3.0  # numbers of a machine that a change moves, on average
-_TO_AN_END = 0.5  # of these
-_DEAD = (-1.0, 0.0, 1.0)  # dead times that it begins with, besides the dead times of the machines
+_MOST_SAMPLES, _MOST_OF_MACHINES = 5e7, 2e8  # ticks times runs: half a minute, and two minutes
+_REPLAYED = 10  # a run takes so many times as long if its fibre is replayed
+_MOVED = 3.0  # average number of a machine's numbers that one change moves
+_TO_AN_END = 0.5  # share of the moved numbers that go to an end of their tolerance
+_DEAD = (-1.0, 0.0, 1.0)  # parts of the dead times to begin with, besides those of the machines
 _BY_SEARCH = "the worst day of a search"
 _MACHINE_BY_SEARCH = (
     f"the worst machine and day of a search, which must leave {100.0 * LEFT_FREE:g} % free"
@@ -53,7 +57,7 @@ _MACHINE_BY_SEARCH = (
 _NEVER_ENDS = "a day of the search has no end"
 
 _Changed = Callable[[FloatArray, float, np.random.Generator], FloatArray]
-"""Takes (k, n) places, a step as a part of each range, and a generator; returns other places."""
+"""Takes (k, n) places, a step as a share of each range, and a generator; returns changed places."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -73,7 +77,7 @@ class _Search:
     shrink
         Ratio of the step of a round to the step before.
     climbs
-        Searches from the same places by different seeds.
+        Number of searches that begin at the same places, with different seeds.
     """
 
     first: FloatArray
@@ -84,7 +88,7 @@ class _Search:
     climbs: int = 1
 
     def found(self) -> tuple[EachRun, int]:
-        """Return the worst runs that were found, and how many were tried."""
+        """Return the worst runs that were found, and the number of runs tried."""
         begun = self.judged(self.first)
         climbed = [self._climbed(begun, REPEAT_SEED + k) for k in range(self.climbs)]
         rounds, count, _ = self.counts
@@ -105,10 +109,10 @@ class _Search:
 
 
 def with_worst_day(plan: Plan, spec: Spec, verdict: Verdict) -> Verdict:
-    """Return a verdict with every result replaced by the worst of searched days, if it is worse.
+    """Return a verdict in which the worst searched day replaces each result that it worsens.
 
-    The verdict itself where days cannot be searched: nothing varies from day to day, or the job is
-    long.
+    The verdict is returned unchanged if days cannot be searched because nothing varies from day to
+    day or the job is too long.
     """
     machine = plan.machine
     if machine.without_dynamics:
@@ -121,22 +125,23 @@ def with_worst_day(plan: Plan, spec: Spec, verdict: Verdict) -> Verdict:
 def with_worst_machine(
     plan: Plan, spec: Spec, verdict: Verdict, known: Sequence[FloatArray]
 ) -> Verdict:
-    """Return a verdict with the worst of machines within the tolerances, each on a day of its own.
+    """Return a verdict in which the worst searched machine and day replaces each worsened result.
 
-    The search changes numbers of the machine and of the day together. It shares no step with the
-    search of ``over_tolerances``, which goes from corner to corner. Machines of equal dead times
-    run side by side, so it begins with few dead times and changes none. The worst machine must
-    leave ``LEFT_FREE`` of every limit free.
+    The search changes the numbers of the machine within their tolerances and the numbers of the day
+    together. It shares no step with the search of ``over_tolerances``, which goes from corner to
+    corner. Machines are simulated side by side only if their dead times are equal, so the search
+    begins with a few dead times and changes none. The worst machine must leave the share
+    ``LEFT_FREE`` of every limit free.
 
     Parameters
     ----------
     known
-        (n,) parts of machines to begin with: the worst that are known.
+        (n,) parts of the worst known machines, with which the search begins.
 
     Returns
     -------
     Verdict
-        The verdict itself for machines that are simulated one by one, for windings and for long
+        The verdict unchanged for machines that are simulated one by one, for windings and for long
         jobs.
     """
     machine = plan.machine
@@ -183,7 +188,7 @@ def with_worst_machine(
 
 
 def _held_at(places: FloatArray, held: IntArray, at: float) -> FloatArray:
-    """Return places of machines with their dead times at ``at``."""
+    """Return places of machines with all dead times at the part ``at`` of their tolerances."""
     moved = places.copy()
     moved[:, held] = at
     return moved
@@ -211,7 +216,7 @@ def _days_together(plan: Plan, spec: Spec) -> _Search | None:
 
 
 def _days_alone(plan: Plan, spec: Spec) -> _Search | None:
-    """Return the search on a machine whose days are simulated one by one: few of them."""
+    """Return the search for a machine whose days are simulated one by one, with few days."""
     if _long(plan, REPEATED_RUNS + ROUNDS_ALONE * CHANGED_ALONE):
         return None
     machine, commands, judge = plan.machine, plan.commands, Judge(plan, spec)
@@ -263,7 +268,7 @@ def _with_found(plan: Plan, verdict: Verdict, search: _Search, *, machines: bool
 
 
 def _moved_day(places: FloatArray, step: float, random: np.random.Generator) -> FloatArray:
-    """Return places of days moved by ``step`` of each range, folded back into 0 to 1."""
+    """Return the places moved at random by about ``step`` of each range, folded into 0 to 1."""
     moved = places + step * random.standard_normal(places.shape)
     return np.asarray(1.0 - np.abs(1.0 - np.mod(moved, 2.0)))
 

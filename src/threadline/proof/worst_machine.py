@@ -1,7 +1,7 @@
-"""The worst machine within the tolerances, as a search finds it, and the file of that machine.
+"""The worst machine within the tolerances that a search finds, and the file of that machine.
 
-Machines are named by their *parts*, as in ``machine/variants.py``. Every machine plays the commands
-that are planned for the machine of the file.
+A machine is given by the *parts* of its numbers, as in ``machine/variants.py``. Every machine plays
+the commands that were planned for the machine of the file.
 """
 
 from __future__ import annotations
@@ -39,10 +39,10 @@ _COUNTS = "axes.*.counts"
 
 
 class WithinTolerances:
-    """Judges machines within the tolerances of a plan's machine, all under its commands.
+    """Judges machines within the tolerances of a plan's machine, all under the plan's commands.
 
-    Encoders stand as in a nominal run, so that ``prove --nominal`` of a machine gives the same
-    result.
+    Encoder phases are the phases of a nominal run, so that ``prove --nominal`` of such a machine
+    gives the same result.
 
     Parameters
     ----------
@@ -51,10 +51,10 @@ class WithinTolerances:
     spec
         The specification.
     threads
-        Number of parts under way at once; None: the number of cores.
+        Number of batches that are simulated at once; None: the number of cores.
     with_product
-        Whether the numbers of the plan's product vary, too: their parts follow the
-        machine's parts.
+        Whether the numbers of the plan's product vary as well; their parts follow the parts of the
+        machine.
 
     Attributes
     ----------
@@ -86,10 +86,10 @@ class WithinTolerances:
             self._alone = SerialJudge(own.plan, spec, own.judge)
 
     def _fastest_corner(self) -> FloatArray:
-        """Return (k, n) parts of machines whose rates bound the rates of all drawn machines.
+        """Return (k, n) parts of k machines whose rates bound the rates of all drawn machines.
 
-        For each connected piece of the machine, one of them has every number at its faster end.
-        Each of the others has a single number at one of its ends.
+        For each connected piece of the machine, one of the k machines has every number at the end
+        that makes the piece faster. Each other machine has a single number at one of its ends.
         """
         machine = self.plan.machine
         ends = one_at_a_time(machine)
@@ -104,7 +104,7 @@ class WithinTolerances:
 
     @property
     def together(self) -> bool:
-        """Whether machines are simulated in batches; otherwise one by one, a second each."""
+        """Whether machines are simulated in batches; otherwise each takes about a second."""
         return self._many is not None
 
     @property
@@ -120,7 +120,7 @@ class WithinTolerances:
 
     @property
     def singles(self) -> FloatArray:
-        """(2 n, n) parts: one number at its lower or upper end, all others nominal."""
+        """(2 n, n) parts: in each row one number is at its lower or upper end, the rest nominal."""
         count = len(self.ends)
         parts = np.zeros((2 * count, count))
         parts[np.arange(0, 2 * count, 2), np.arange(count)] = -self.ends
@@ -128,7 +128,11 @@ class WithinTolerances:
         return parts
 
     def with_products(self, parts: FloatArray, index: IntArray) -> FloatArray:
-        """Return (k, n) parts of drawn machines, beside them the products of the same numbers."""
+        """Return (k, n) parts of drawn machines, with the parts of drawn products beside them.
+
+        ``index`` has the (k,) numbers of the machines in the random sequence, which also select the
+        products.
+        """
         return np.concatenate([parts, product_at_random(index)[:, self._wound]], axis=1)
 
     def product(self, parts: FloatArray) -> FloatArray:
@@ -138,7 +142,7 @@ class WithinTolerances:
         return found
 
     def machine_parts(self, parts: FloatArray) -> FloatArray:
-        """Return the parts that are of the machine."""
+        """Return the parts of the numbers of the machine, without those of the product."""
         return parts[..., : len(self.numbers)]
 
     def judged(self, parts: FloatArray, done: Done | None = None) -> EachRun:
@@ -163,15 +167,15 @@ class WithinTolerances:
         return self._many.judged_each(variants, done)
 
     def _products(self, parts: FloatArray) -> FloatArray | None:
-        """Return the parts of the products of machines; None where no product varies."""
+        """Return the parts of the products of machines; None if no product varies."""
         return self.product(parts) if len(self._wound) else None
 
     def in_days(self, parts: FloatArray, days: Days) -> EachRun:
-        """Return the results of (k, n) parts, each on every one of ``days``, machine by machine.
+        """Return the results of machines at (k, n) parts, each on every day, machine by machine.
 
-        Only where machines are simulated together.
+        Machines must be simulated in batches (``together``).
         """
-        from threadline.machine.days import on_days  # of searches alone
+        from threadline.machine.days import on_days  # only searches need it
 
         assert self._many is not None
         own = numbers_at(self.plan.machine, self.machine_parts(parts))
@@ -193,7 +197,7 @@ class WithinTolerances:
         Parameters
         ----------
         share, binding
-            Its used share and its criterion where it cannot be simulated alone.
+            Used share and criterion to return if the machine cannot be simulated alone.
         """
         products = self.product(parts[None])
         own = self.machine_parts(parts)
@@ -224,17 +228,18 @@ class Worst:
     Parameters
     ----------
     parts
-        (n,) place of each number in its tolerance, -1 to 1.
+        (n,) part of each number: -1 to 1 within its tolerance, and further for a number with a
+        normal distribution.
     numbers
         Names and SI values of the numbers that differ from the machine file.
     share
-        The largest used share of a limit; above 1 where the machine exceeds a limit of 0, and
-        infinite where it cannot be simulated.
+        The largest used share of a limit. It is above 1 if the machine exceeds a limit of 0, and
+        infinite if the machine cannot be simulated.
     binding
         The criterion with this limit.
     row
-        Values of this criterion in this machine alone; None where the machine cannot be simulated,
-        or never ends a wait.
+        Values of this criterion for this machine alone; None if the machine cannot be simulated, or
+        waits forever for an input.
     of_corners
         Whether every corner of the tolerances was tried.
     product
@@ -251,7 +256,7 @@ class Worst:
 
     @property
     def beyond_zero(self) -> bool:
-        """Whether its limit is 0, which has no shares."""
+        """Whether the limit is 0, so that there is no used share of it."""
         return self.row is not None and not (self.row.limit or 0.0) > 0.0
 
     @property
@@ -268,9 +273,9 @@ class Worst:
 
 
 def row_shares(found: EachRun) -> FloatArray:
-    """Return (rows, runs) used shares of every limit that depends on the machine.
+    """Return the (rows, runs) used share of every limit whose criterion depends on the machine.
 
-    Limits of the machine that are not of the plan alone are included.
+    Limits of the machine file are included; criteria of the plan alone are not.
     """
     rows = [row for row in found.rows if row.limit is not None and not row.of_plan]
     if not rows:
@@ -279,11 +284,11 @@ def row_shares(found: EachRun) -> FloatArray:
 
 
 def shares_of(found: EachRun) -> tuple[FloatArray, list[str]]:
-    """Return (runs,) the largest used share of a limit in each run, and the criterion.
+    """Return the (runs,) largest used share of a limit in each run, and its criterion.
 
-    Criteria of the plan alone do not count: they are the same for every machine. The machine's own
-    limits count only where they are exceeded, since a plan is made to use them. Of equal shares
-    the first criterion counts.
+    Criteria of the plan alone do not count: they are the same for every machine. Limits of the
+    machine file count only if they are exceeded, because a plan is made to use them fully. If
+    several shares are equal, the first criterion is returned.
     """
     rows = [row for row in found.rows if row.limit is not None and not row.of_plan]
     if not rows:
@@ -299,13 +304,13 @@ def _share(row: CriterionRow) -> FloatArray:
     assert row.limit is not None
     known = np.nan_to_num(row.values, nan=np.inf if row.required else 0.0, posinf=np.inf)
     if row.limit <= 0.0:
-        # Such a limit has no shares: every value beyond it counts as more than 1.
+        # A limit of 0 has no shares: every value beyond it counts as a share above 1.
         return np.where(row.failed | row.missed, 1.0 + known, 0.0)
     return np.asarray(known / row.limit)
 
 
 def unanswered_in(found: EachRun) -> NDArray[np.bool_]:
-    """Return (runs,) whether a machine could not be simulated, or never ended a wait."""
+    """Return (runs,) whether a machine could not be simulated, or waited forever for an input."""
     rows = [row for row in found.rows if not row.of_plan]
     if not rows:
         return np.zeros(found.runs, dtype=np.bool_)
@@ -313,7 +318,7 @@ def unanswered_in(found: EachRun) -> NDArray[np.bool_]:
 
 
 def write_worst(machine: Machine, worst: Worst, file: Path, by: str) -> None:
-    """Write the machine file of the worst machine, as ``worst_toml``, whole or not at all.
+    """Write the text of ``worst_toml`` as a machine file, completely or not at all.
 
     Raises
     ------
@@ -326,17 +331,17 @@ def write_worst(machine: Machine, worst: Worst, file: Path, by: str) -> None:
 
 
 def worst_toml(machine: Machine, worst: Worst, folder: Path, by: str) -> str:
-    """Return the machine file of the worst machine: the numbers that differ, over its base.
+    """Return the machine file of the worst machine: its base, and the numbers that differ from it.
 
-    Command counts stay as in the base. Deviating counts per unit of an axis are written as weights
-    of the axis's load.
+    The counts per unit in which commands are given stay as in the base. An axis whose counts per
+    unit deviate is written with other weights of its load instead.
 
     Parameters
     ----------
     folder
-        Folder of the file: a base that is a file is named from there.
+        Folder of the file to write; the path of a base file is given relative to it.
     by
-        The verb that found it.
+        The verb that found the machine.
     """
     made = with_numbers(machine, worst.numbers)
     numbers: dict[str, tuple[float, str]] = {}
@@ -363,7 +368,7 @@ def worst_toml(machine: Machine, worst: Worst, folder: Path, by: str) -> str:
 
 
 def _reference_from(machine: Machine, folder: Path) -> str:
-    """Return the reference of a machine for a file in ``folder``."""
+    """Return the reference of a machine, as a file in ``folder`` must write it."""
     name, overlays = split_reference(machine.reference)
     if name.endswith(".toml"):
         try:

@@ -1,4 +1,4 @@
-"""The search for the worst machine within the tolerances, in a stated number of machines."""
+"""The search for the worst machine within the tolerances, with a limited number of machines."""
 
 from __future__ import annotations
 
@@ -13,31 +13,37 @@ from threadline.proof.worst_machine import WithinTolerances, row_shares, shares_
 from threadline.verdict import EachRun
 
 SEARCHED, SEARCHED_ALONE = 1200, 60
-"""Most machines that a search tries after both ends of each number, where machines are simulated in
-batches, and where they are simulated one by one."""
+"""Largest number of machines that a search tries after both ends of each number: if machines are
+simulated in batches, and if they are simulated one by one."""
 _REPLAYED_TICKS = 50_000_000
-"""Ticks of runs whose fibre is replayed that a search tries at most, after the ends: a tick costs
-some ten times as much as without a product."""
+"""Largest number of ticks, over all runs after the ends, of runs whose fibre is replayed: such a
+tick takes about ten times as long as a tick without a product."""
 _CORNERS, _LEANING, _LEAN = 200, 200, 0.75
-"""Corners that are drawn, all alike; that lean to the slopes of one criterion; and the share of the
-numbers that follow them. Fewer in a search of fewer than ``SEARCHED`` machines."""
+"""Number of corners that are drawn with equal probability; number of corners that are drawn by the
+slopes of one criterion; and the probability with which a number of such a corner follows its slope.
+A search of fewer than ``SEARCHED`` machines draws fewer corners in proportion."""
 _CORNER_SEED = 1941
 _NEAR, _ROWS = 0.7, 3
-"""Criteria that are climbed use at least this part of the worst share; the most of them."""
+"""Climbs maximise criteria whose used share is at least this part of the worst used share; largest
+number of such criteria."""
 _STARTS, _APART, _AT_ONCE = 16, 2, 4
-"""Machines from which climbs start, least numbers that tell two of them apart, climbs at once."""
+"""Number of machines from which climbs start; number of numbers in which any two of them differ at
+least; number of climbs at the same time."""
 _MOST_KICKS, _KICKED, _KICK = 40, 4, 4
-"""Climbs that start from an ended one; ended climbs that they start from; numbers changed first."""
+"""Number of climbs that start from an ended climb; number of ended climbs that they start from; and
+number of the machine's numbers that are changed at random before such a start."""
 _INSIDE, _INNER = 0.2, 3
-"""Part of the machines kept for steps inside the tolerances; climbs that go on inside."""
+"""Share of the machines that is reserved for steps inside the tolerances; number of climbs that
+take such steps."""
 _CONTENDERS, _LEAST_CONTENDERS, _TELLS = 8, 2, 2
-"""Machines that are judged on further days, fewer in a search of fewer than ``SEARCHED`` machines;
-the least of them; and least numbers that tell two of them apart."""
+"""Number of machines that are judged on further days (in proportion fewer in a search of fewer than
+``SEARCHED`` machines); their smallest number; and number of numbers in which any two of them differ
+at least."""
 _MATTERS = 1e-5
-"""Change of a share of a limit below which a number has no influence on it."""
+"""If the change of a number changes the used share of a limit by less, it has no effect on it."""
 _SAME = 1e-9
 _BETTER = 1e-7
-"""Least gain of a share, so that rounding decides nothing."""
+"""Smallest gain of a used share that counts: rounding errors are smaller."""
 _MOST_SHARE = 100.0
 
 
@@ -55,43 +61,48 @@ def most_searched(within: WithinTolerances) -> int:
 
 
 class WorstSearch:
-    """Searches the worst machine, criterion by criterion, within a number of machines.
+    """Searches for the worst machine, criterion by criterion, with a limited number of machines.
 
-    ``begin``, then ``add`` machines that were drawn, then ``go_on``.
+    Call ``begin``, then ``add`` or ``draw`` for drawn machines, then ``go_on``.
 
-    Both ends of each number alone give the slopes of every criterion. Then come the corners of the
-    numbers that matter: by the signs of the slopes, by the signs of a linear fit to all machines,
-    and next to the worst ones. Where machines are simulated in batches, 400 corners are drawn, half
-    of them mostly by the slopes of the criteria that are worst at the ends: the result of a machine
-    may jump from corner to corner, and a few machines in a thousand may be far worse than all
-    others. So many short climbs find more than one long one: up to 16 start from the worst machines
-    of these criteria that differ clearly. One number after the other goes to its other end, then
-    all that make it worse together, as long as that helps. Numbers that changed nothing are left
-    out until a climb ends, and are tried then. When all have ended, further climbs start from the
-    worst of their ends with four numbers changed at random. A fifth of the machines is kept for the
-    last steps: each number goes to the middle and half-way there. Each round is one batch.
+    1. Both ends of each number, with all other numbers nominal, give the slope of every criterion.
+    2. Corners follow, in which every number with an effect is at one of its ends: by the signs of
+       the slopes, by the signs of a linear fit to all machines, and next to the worst machines. If
+       machines are simulated in batches, 400 corners are drawn as well, half of them mostly by the
+       slopes of the criteria that are worst at the ends: the result may jump from corner to corner,
+       and a few machines in a thousand may be far worse than all others.
+    3. Therefore many short climbs find more than one long climb. Up to 16 climbs start from the
+       worst machines of these criteria that differ clearly. A climb moves one number after the
+       other to its other end, and then moves all numbers together whose move made the machine
+       worse, as long as the machine becomes worse. A number that had no effect is left out until
+       the climb ends, and is then tried once more.
+    4. When all climbs have ended, further climbs start from the worst of their ends, with four
+       numbers changed at random.
+    5. A fifth of the machines is reserved for the last steps inside the tolerances, in which each
+       number moves to its nominal value and half-way to it.
 
-    No gain below a ten-millionth of a limit counts, so that rounding decides nothing.
+    Each round of all climbs is one batch. A gain below a ten-millionth of a limit does not count,
+    so that rounding has no effect on the result.
 
     Parameters
     ----------
     within
         Judges the machines.
     most
-        Most machines that are tried after both ends of each number.
+        Largest number of machines that are tried after both ends of each number.
     hasty
         Whether the search ends as soon as a machine is out of specification.
     seed
-        Seed of the corners, and of the changes from which further climbs start.
+        Seed of the drawn corners and of the random changes at which further climbs start.
 
     Attributes
     ----------
     done
-        Called with the number of judged machines.
+        Called with the number of machines judged since the last call.
     searched
         Number of machines tried so far, without the drawn machines.
     drawn
-        Numbers of the drawn machines.
+        (k,) indices of the drawn machines in ``parts``.
     """
 
     def __init__(
@@ -136,11 +147,11 @@ class WorstSearch:
 
     @property
     def ended(self) -> bool:
-        """Whether the search may end, for a machine failed and no worse one is wanted."""
+        """Whether a hasty search may end, because a machine is out of specification."""
         return self._hasty and self.failed
 
     def add(self, parts: FloatArray, found: EachRun) -> None:
-        """Take machines that were judged elsewhere, at (k, n) ``parts``."""
+        """Add machines at (k, n) ``parts`` that were judged elsewhere."""
         shares = row_shares(found)
         at = len(self._bad)
         for k, one in enumerate(parts):
@@ -151,13 +162,13 @@ class WorstSearch:
         self._bad = np.concatenate([self._bad, ~found.passed])
 
     def draw(self, parts: FloatArray) -> None:
-        """Judge machines that were drawn, at (k, n) ``parts``."""
+        """Judge drawn machines at (k, n) ``parts``."""
         at = len(self._bad)
         self.add(parts, self._within.judged(parts, self.done))
         self.drawn = np.concatenate([self.drawn, np.arange(at, len(self._bad))])
 
     def tried(self, parts: FloatArray) -> IntArray:
-        """Judge (k, n) ``parts`` that are not known yet; return the (k,) numbers of all."""
+        """Judge the new machines among (k, n) ``parts``; return the (k,) indices of all of them."""
         fresh: dict[bytes, FloatArray] = {}
         for one in parts:
             if (key := _key(one)) not in self._known:
@@ -169,15 +180,15 @@ class WorstSearch:
         return np.array([self._known[_key(one)] for one in parts], dtype=np.int64)
 
     def worst(self) -> int:
-        """Return the number of the worst machine: out of specification, then by its share."""
+        """Return the index of the worst machine; machines out of specification come first."""
         return int(self._in_order()[0])
 
     def worst_of_days(self, days: Days) -> int:
-        """Return the number of the machine that is worst over several days.
+        """Return the index of the machine that is worst over several days.
 
-        The rounding of encoders may matter more than a number of the machine: the remaining error
-        of a coarse controller changes from day to day. So the worst machines that differ clearly
-        are judged on every day, where machines are simulated in batches.
+        The phases of encoders may have a larger effect than a number of the machine: the static
+        error of a controller with coarse output changes from day to day. If machines are simulated
+        in batches, the worst machines that differ clearly are therefore judged on every day.
         """
         order = self._in_order()
         if not self._within.together or self.ended:
@@ -193,7 +204,7 @@ class WorstSearch:
         return some[int(np.lexsort((-np.minimum(worst, 1e9), ~bad.any(axis=1)))[0])]
 
     def _in_order(self) -> IntArray:
-        """Return the numbers of all machines, the worst first."""
+        """Return the indices of all machines, the worst first."""
         shares, _ = shares_of(self.found)
         hard = np.where(self._bad, self._shares.max(axis=0, initial=0.0), shares)
         return np.lexsort((-np.minimum(hard, 1e9), ~self._bad))
@@ -201,7 +212,10 @@ class WorstSearch:
     def _tell_apart(
         self, order: Sequence[int], most: int, least: int, numbers: IntArray
     ) -> list[int]:
-        """Return the first of ``order``, such that any two differ in ``least`` of ``numbers``."""
+        """Return the first machines of ``order`` that differ clearly, at most ``most``.
+
+        The signs of the parts of any two of them differ in at least ``least`` of ``numbers``.
+        """
         signs = np.sign(self.parts[:, numbers] if len(numbers) else self.parts)
         found: list[int] = []
         for at in order:
@@ -212,11 +226,11 @@ class WorstSearch:
         return found
 
     def _scaled(self, count: int) -> int:
-        """Return a number of machines of a whole search, for this one."""
+        """Return a number of machines, scaled down in proportion to the size of this search."""
         return round(count * self._share)
 
     def begin(self) -> None:
-        """Try the ends of each number, and the corners: by the slopes, and from a fixed seed."""
+        """Try the ends of each number, the corners by the slopes, and the drawn corners."""
         self._ends()
         if self.ended:
             return
@@ -227,18 +241,18 @@ class WorstSearch:
             self._try_some(self._drawn_corners(order[:_ROWS]))
 
     def go_on(self) -> None:
-        """Search on from all machines that are known, until no machine is worse or none is left."""
+        """Continue from all known machines, until none is worse or no more may be tried."""
         for step in (self._fitted_corners, self._climbs):
             if self.ended:
                 return
             step()
 
     def _worst_rows(self) -> IntArray:
-        """Return the numbers of all rows, the rows closest to their limits first."""
+        """Return the indices of all criterion rows, the rows closest to their limits first."""
         return np.argsort(-_clipped(self._shares).max(axis=1), kind="stable")
 
     def _near_rows(self) -> list[int]:
-        """Return the numbers of the rows that come near the worst share, the worst first."""
+        """Return the indices of the rows whose share is near the worst share, the worst first."""
         rows = self._worst_rows()[:_ROWS]
         worst = _clipped(self._shares[rows]).max(axis=1)
         return [int(row) for row in rows[worst >= _NEAR * worst[0]]]
@@ -249,7 +263,8 @@ class WorstSearch:
         own, low, high = (_clipped(self._shares[:, k]) for k in (at[:1], at[1::2], at[2::2]))
         effect = np.maximum(np.abs(low - own), np.abs(high - own))
         self._slopes = np.where(effect > _MATTERS, np.where(high >= low, 1.0, -1.0), 0.0)
-        # At a corner a number may matter that does not matter alone.
+        # A number without effect on a share may still have one at a corner: keep every number that
+        # changes a value.
         values = np.stack([row.values for row in self.found.rows if not row.of_plan])[:, at]
         values = np.nan_to_num(values, nan=-1.0, posinf=1e300)
         moved = np.abs(values[:, 1:] - values[:, :1]) > _SAME * (1.0 + np.abs(values[:, :1]))
@@ -276,7 +291,7 @@ class WorstSearch:
             self._try_some(np.concatenate([table[order] for table in tables]))
 
     def _drawn_corners(self, rows: IntArray) -> FloatArray:
-        """Return random corners, half of them leaning to the slopes of ``rows`` by turns."""
+        """Return drawn corners; half of them mostly follow the slopes of ``rows``, in turn."""
         assert self._slopes is not None
         ends = self._within.ends
         random = self._random
@@ -287,11 +302,11 @@ class WorstSearch:
         leaning = np.where(follow, of_rows, -of_rows)
         other = np.where(random.random(leaning.shape) < 0.5, -1.0, 1.0)
         leaning = np.where(leaning == 0.0, other, leaning)
-        # A number that changes nothing stays as the file has it.
+        # A number without any effect keeps the value of the file.
         return np.concatenate([alike, leaning]) * ends * np.isin(np.arange(len(ends)), self._moving)
 
     def _try_some(self, parts: FloatArray) -> IntArray:
-        """Judge as many of (k, n) ``parts`` as may still be tried; return their numbers."""
+        """Judge as many of (k, n) ``parts`` as may still be tried; return their indices."""
         before = self.searched
         at = self.tried(parts[: max(self._left, 0)])
         self._left -= self.searched - before
@@ -315,7 +330,7 @@ class WorstSearch:
             short = {one for one in climbs if self._idle.get(one)}
             climbs, stuck = self._round(climbs, self._flips)
             ended += [one for one in stuck if one not in short]
-            # What changed nothing where a climb began may matter where it ends.
+            # A number without effect where a climb began may have one where the climb ends.
             again = [one for one in stuck if one in short]
             self._idle.update(dict.fromkeys(again, frozenset()))
             climbs += again
@@ -324,7 +339,10 @@ class WorstSearch:
             inner, _ = self._round(inner, self._inside)
 
     def _starts(self) -> list[_Climb]:
-        """Return the worst machine of each near row, then others that are apart, row by row."""
+        """Return starts of climbs: the worst machine of each near row, then others, row by row.
+
+        The machines of a row differ clearly.
+        """
         assert self._slopes is not None
         if not self._within.together:
             row = int(self._worst_rows()[0])
@@ -333,19 +351,19 @@ class WorstSearch:
         of_rows = []
         for row in rows:
             order = np.argsort(-_clipped(self._shares[row]), kind="stable").tolist()
-            # Machines that differ in numbers of other criteria alone lead to the same end.
+            # Machines that differ only in numbers without effect on this row lead to the same end.
             own = np.flatnonzero(self._slopes[row])
             of_rows.append([(row, at) for at in self._tell_apart(order, _STARTS, _APART, own)])
         first, others = [some[0] for some in of_rows], [one for some in of_rows for one in some[1:]]
         return [*first, *others][:_STARTS]
 
     def _best(self, climbs: Sequence[_Climb]) -> list[_Climb]:
-        """Return distinct climbs, those at the largest shares first."""
+        """Return the distinct climbs, the climb at the largest share first."""
         distinct = list(dict.fromkeys(climbs))
         return sorted(distinct, key=lambda one: -float(_clipped(self._shares[one[0]])[one[1]]))
 
     def _kicked(self, ended: Sequence[_Climb], count: int) -> list[_Climb]:
-        """Return climbs from the best ends of climbs, each with a few numbers changed."""
+        """Return climbs that start at the worst ends of climbs, with a few numbers changed."""
         best, parts = self._best(ended)[:_KICKED], []
         chosen = [best[int(k)] for k in self._random.integers(0, len(best), count)]
         for row, at in chosen:
@@ -359,7 +377,7 @@ class WorstSearch:
         return [(row, at) for (row, _), at in zip(chosen, numbers, strict=False)]
 
     def _flips(self, climb: _Climb) -> list[FloatArray]:
-        """Return the machines with one number at another end."""
+        """Return the machines of a climb's next step: each has one number moved to another end."""
         found, (_, at) = [], climb
         for k in self._told(climb):
             far = self._within.ends[k]
@@ -371,7 +389,7 @@ class WorstSearch:
         return found
 
     def _inside(self, climb: _Climb) -> list[FloatArray]:
-        """Return the machines with one number in the middle, or half-way there."""
+        """Return the machines with one number at its nominal value, or half-way to it."""
         found, (_, at) = [], climb
         for k in self._told(climb):
             for part in (0.0, 0.5):
@@ -381,14 +399,14 @@ class WorstSearch:
         return found
 
     def _told(self, climb: _Climb) -> list[int]:
-        """Return the numbers that changed the criterion where the climb came from."""
+        """Return the numbers that a climb still tries: those not known to have no effect."""
         idle = self._idle.get(climb, frozenset())
         return [k for k in self._moving.tolist() if k not in idle]
 
     def _round(
         self, climbs: Sequence[_Climb], moves: Callable[[_Climb], list[FloatArray]]
     ) -> tuple[list[_Climb], list[_Climb]]:
-        """Take one step of every climb; return the climbs that got worse, and the others."""
+        """Take one step of every climb; return the climbs whose machine got worse, and the rest."""
         tried = [moves(one) for one in climbs]
         count = len(climbs)
         share = max(self._left // count, 1)
@@ -428,7 +446,7 @@ class WorstSearch:
         return list(dict.fromkeys(on)), stuck
 
     def _without_effect(self, at: int, gains: Sequence[tuple[float, int]]) -> frozenset[int]:
-        """Return the numbers whose change at machine ``at`` did not change the criterion."""
+        """Return the numbers whose change at the machine ``at`` had no effect on the criterion."""
         parts = self.parts
         idle: set[int] = set()
         matter: set[int] = set()
@@ -438,7 +456,7 @@ class WorstSearch:
         return frozenset(idle - matter)
 
     def _summed(self, at: int, better: Sequence[int]) -> FloatArray:
-        """Return a machine with the changes of several others, the largest gain of each number."""
+        """Return a machine with the changes of several machines; the larger gain has precedence."""
         parts = self.parts
         found: FloatArray = parts[at].copy()
         for number in reversed(better):

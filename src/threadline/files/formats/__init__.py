@@ -26,11 +26,11 @@ _TABLES: Mapping[str, tuple[str, str]] = {
     ".csv": ("table_text", "read_table_csv"),
     ".ticks": ("trajectory_array", "read_array"),
 }
-"""Module of each format of recordings; module and reader of each format of tick tables."""
+"""Module of each recording format, by file extension; module and reader of each table format."""
 
 
 def _of_recordings(verb: str, ending: str) -> Callable[..., Any]:
-    """Return the reader or writer of a format, whose module is imported here."""
+    """Return the reader or writer of a format, after importing its module."""
     name = _RECORDINGS[ending]
     found: Callable[..., Any] = getattr(import_module(f"{__name__}.{name}"), f"{verb}_{name}")
     return found
@@ -46,12 +46,12 @@ def _ending(path: Path, among: Mapping[str, object], what: str) -> str:
 
 
 def read_recording(path: str | Path) -> Recording:
-    """Read a recording: ``.npz``, ``.mcap``, ``.plt``, ``.csv`` (also of other programs).
+    """Read a recording: ``.npz``, ``.mcap``, ``.plt``, or ``.csv`` (also from other programs).
 
     Raises
     ------
     RecordingError
-        If it is none of them, or damaged.
+        If the file has none of these formats, or is damaged.
     """
     path = Path(path)
     with clear_errors(path):
@@ -74,8 +74,8 @@ def write_recording(
     path
         Name of the file; its extension gives the format.
     plot_every
-        Ticks from line to line of a ``.plt``; by default every sample. The other formats write all
-        samples.
+        Number of ticks from one line to the next in a ``.plt``; by default every sample is written.
+        The other formats always have all samples.
 
     Raises
     ------
@@ -95,7 +95,7 @@ def read_table(path: str | Path) -> TickTable:
     Raises
     ------
     RecordingError
-        If it is none of them, or damaged.
+        If the file has none of these formats, or is damaged.
     """
     path = Path(path)
     with clear_errors(path):

@@ -1,4 +1,4 @@
-"""NumPy's ``.npz``, written and read piece by piece, so that no column must fit into memory.
+"""NumPy's ``.npz`` format, written and read piece by piece: a column need not fit into memory.
 
 ``numpy.load`` can read these files. This module does not use it, because it reads whole arrays and
 allocates the size that a header claims without checking it.
@@ -193,7 +193,7 @@ class ColumnArchive:
         return ColumnReader(member, np.dtype(dtype), width, rows)
 
     def _header(self, member: IO[bytes], name: str) -> tuple[str, bool, tuple[int, ...]]:
-        """Return type, order and shape; numpy's reader would run a Python parser on them."""
+        """Return type, order and shape; numpy's reader would run a Python parser on the header."""
         magic = member.read(8)
         size_bytes = {b"\x93NUMPY\x01\x00": 2, b"\x93NUMPY\x02\x00": 4}.get(magic)
         if size_bytes is None:

@@ -1,7 +1,7 @@
-"""Divide rows of counts into runs; each is one line of a trajectory array.
+"""Divide rows of counts into runs; each run is one line of a trajectory array.
 
-``trajectory_array.py`` explains how a line of ``n`` ticks spreads its remainder. This is a separate
-file because it loads numba, and few processes write arrays.
+``trajectory_array.py`` explains how a line of ``n`` ticks spreads its remainder. This module is
+separate because it loads numba, and few processes write trajectory arrays.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ def _phase(counts: IntArray, begin: int, n: int, axis: int) -> int:
     lowest, highest = 0, n - 1
     travelled = 0
     for k in range(1, n):
-        # floor((h + k r) / n) must equal the travel in excess of k times the speed.
+        # floor((h + k r) / n) must equal the travel minus k times the speed.
         travelled += counts[begin + k - 1, axis] - speed
         low = n * travelled - k * remainder
         lowest = max(lowest, low)
@@ -47,8 +47,8 @@ def _fits(counts: IntArray, begin: int, n: int, phases: IntArray) -> bool:
 def runs(counts: IntArray, marks: IntArray) -> tuple[IntArray, IntArray, IntArray]:
     """Divide rows into runs for one line each; no run extends across a mark.
 
-    A run extends to the next mark if one line can give it. Otherwise its length is doubled while it
-    fits, and then increased by smaller and smaller steps.
+    A run extends to the next mark if one line can represent it. Otherwise its length is doubled as
+    long as one line can represent it, and then increased by smaller and smaller steps.
     """
     rows, axes = counts.shape
     begins = np.empty(rows, np.int64)
@@ -74,7 +74,7 @@ def runs(counts: IntArray, marks: IntArray) -> tuple[IntArray, IntArray, IntArra
                     step //= 2
                 _fits(counts, begin, span, trial)
             begins[found], spans[found] = begin, span
-            for axis in range(axes):  # assigning the whole row takes seconds to compile
+            for axis in range(axes):  # numba takes seconds to compile an assignment of a row
                 phases[found, axis] = trial[axis]
             found += 1
             begin += span

@@ -30,9 +30,9 @@ TIME = "time"
 
 _COLUMN = re.compile(r"\s*(?P<name>[^\[\]]*?)\s*(?:\[\s*(?P<unit>[^\[\]]*?)\s*\])?\s*")
 _SWITCHED = re.compile(r"(?P<name>[A-Za-z][A-Za-z0-9_-]*)\.(?P<kind>output|input)")
-"""Column of a PLC output or input, by its name in the machine file; its values are 0 or 1."""
+"""Heading of a column of a PLC output or input, by its name in the machine file; 0 or 1."""
 _SENSED = re.compile(r"[A-Za-z][A-Za-z0-9_-]*\.sensor")
-"""Column of a sensor that is not the encoder of an axis, by its name in the machine file."""
+"""Heading of a column of a sensor other than the encoders of axes, with its name in the file."""
 _POSITIONS = frozenset(
     {
         ChannelKind.COMMANDED,
@@ -72,16 +72,16 @@ class Column:
 
 
 def parse_column(text: str, place: Place) -> Column:
-    """Return the channel that the heading of a column names.
+    """Return the column that a heading describes.
 
     ``X [mm]`` is the measured position of axis X; ``X.load [mm]`` names another kind of channel.
-    ``tension [N]`` is the tension of a winder's fibre. ``operation`` has no unit, and neither have
-    PLC outputs and inputs, such as ``valve.output`` and ``switch.input``.
+    ``tension [N]`` is the tension of a winder's fibre. ``operation`` has no unit. PLC outputs and
+    inputs, such as ``valve.output`` and ``switch.input``, have no unit either.
 
     Raises
     ------
     RecordingError
-        If the name is unknown or the unit missing or wrong.
+        If the name is unknown, or the unit is missing or wrong.
     """
     match = _COLUMN.fullmatch(text.strip().strip('"'))
     if match is None:
@@ -160,9 +160,9 @@ T = TypeVar("T")
 class Written:
     """A written file and its hash.
 
-    ``warnings`` name omissions and suspicious values; ``facts`` name the checks of its content.
-    ``as_run_s`` are two durations by the planner of a firmware: of the original job and of the
-    written file; None where the planner is unknown.
+    ``warnings`` name omissions and suspicious values; ``facts`` name the checks of the content.
+    ``as_run_s`` has two durations, according to the planner of a firmware: of the original job, and
+    of the written file. It is None if the planner is unknown.
     """
 
     path: Path
@@ -174,10 +174,10 @@ class Written:
 
 @contextmanager
 def atomic_file(path: Path) -> Iterator[IO[bytes]]:
-    """Open a file that appears at ``path`` if the block succeeds, and not at all otherwise.
+    """Open a file that appears at ``path`` only if the block succeeds.
 
-    Inside a ``together`` block of ``threadline.base.writing`` it appears when that block ends.
-    Until then its bytes are in the temporary file that the ``name`` of the stream gives.
+    Inside a ``together`` block of ``threadline.base.writing`` the file appears when that block
+    ends. Until then its bytes are in a temporary file, which is the ``name`` of the stream.
 
     Raises
     ------
@@ -276,14 +276,14 @@ def text_lines(path: Path) -> Iterator[tuple[int, str]]:
 
 
 def meta_lines(title: str, meta: dict[str, Any]) -> Iterator[str]:
-    """Yield the comment lines of a text format: the data that has no column."""
+    """Yield the comment lines of a text format, which hold all data without a column."""
     yield f"# threadline {title}"
     for key, value in meta.items():
         yield f"# {key}: {json_line(value)}"
 
 
 def parse_meta_lines(lines: Iterable[tuple[int, str]], path: Path) -> dict[str, Any]:
-    """Return the data that ``meta_lines`` wrote, from its lines after the title."""
+    """Return the data that ``meta_lines`` wrote, from the lines after the title."""
     meta: dict[str, Any] = {}
     for number, line in lines:
         key, colon, value = line.lstrip("# ").partition(":")
@@ -339,13 +339,13 @@ def fraction_text(value: Fraction) -> str:
 
 
 JITTER = 0.05
-"""Largest distance of an instant from the grid, as a share of the period. A trace with a larger
-distance is refused, not resampled."""
+"""Largest deviation of an instant from the grid, as a share of the period. A trace with a larger
+deviation is refused, not resampled."""
 
 
 @dataclass(frozen=True, slots=True)
 class Grid:
-    """Instants ``(first + k) * period_s`` for the rows k = 0 ... rows - 1."""
+    """An even grid of instants: ``(first + k) * period_s`` for the rows k = 0 ... rows - 1."""
 
     period_s: Fraction
     first: int
@@ -355,7 +355,7 @@ class Grid:
 def find_grid(times_s: Iterable[tuple[int, float]], path: str) -> Grid:
     """Return the grid of a trace from its line numbers and instants.
 
-    The period is the fraction with the smallest denominator that equals the mean step within a
+    The period is the fraction with the smallest denominator that agrees with the mean step within a
     tolerance.
 
     Raises
@@ -390,7 +390,7 @@ def find_grid(times_s: Iterable[tuple[int, float]], path: str) -> Grid:
             place=Place(path, line),
             remedy="Record again without gaps, or give the part before or after it.",
         )
-    # The grid may miss the last instant by a thousandth of the allowed jitter.
+    # The grid may deviate from the last instant by a thousandth of the allowed jitter.
     slack = Fraction(JITTER * mean_s / 1000.0) / (rows - 1)
     period_s = simplest_between(Fraction(mean_s) - slack, Fraction(mean_s) + slack)
     first = round(Fraction(start) / period_s)
@@ -425,8 +425,8 @@ def simplest_between(low: Fraction, high: Fraction) -> Fraction:
 
     Notes
     -----
-    Continued fractions of both ends agree up to the term where the simplest one ends
-    (Stern-Brocot tree).
+    The continued fractions of both ends agree up to the term at which the continued fraction of the
+    simplest number ends (Stern-Brocot tree).
     """
     terms = []
     while True:

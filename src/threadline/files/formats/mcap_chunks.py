@@ -1,8 +1,8 @@
-"""Write an MCAP file of one channel, each message in a chunk of its own, for runs of any length.
+"""Write an MCAP file with one channel and one chunk per message, for runs of any length.
 
 The file equals the output of ``mcap.writer.Writer`` with ``chunk_size=0`` and an index of chunks,
-byte for byte. That class keeps an object of the index for each chunk, some 80 MB an hour in a run,
-and takes three times as long for a message; this one keeps 24 bytes.
+byte for byte. That class keeps an index object for each chunk, some 80 MB per hour of a run, and
+takes three times as long for a message. This module keeps 24 bytes per chunk.
 
 Format: https://mcap.dev/spec, "Records" and "Summary Section".
 """
@@ -65,7 +65,7 @@ class ChunkedMessages:
         Header(profile, library).write(head)
         for record in (self._schema, self._channel):
             record.write(described)
-        self._before: bytes = _taken(described)  # of the first message, in its chunk
+        self._before: bytes = _taken(described)  # bytes before the first message, in its chunk
         self._put(MAGIC)
         self._put(_taken(head))
 

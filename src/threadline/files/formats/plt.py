@@ -1,4 +1,4 @@
-"""``.PLT``: the trace format of the 1994 controller, a line of positions per recorded tick.
+"""``.PLT``: the trace format of the 1994 controller, one line of positions per recorded tick.
 
 The thesis describes the file (section 9.9, appendix A) but prints no example. Threadline adds a
 first line with columns, units and rate, so that a spreadsheet shows headings and the file can be
@@ -50,19 +50,19 @@ def write_plt(
     kind: ChannelKind = ChannelKind.MEASURED,
     limit_lines: int | None = None,
 ) -> Written:
-    """Write the positions of X, Y, A, Z, B and C, as far as they exist, in mm and degrees.
+    """Write the positions of the existing axes among X, Y, A, Z, B, C, in mm and degrees.
 
     Parameters
     ----------
     recording
         The recording to write.
     every
-        Ticks from one line to the next; by default every sample.
+        Number of ticks from one line to the next; by default every sample is written.
     kind
         Kind of the positions; by default the encoder positions.
     limit_lines
-        Largest number of lines (``LINES_1994`` in 1994); a warning reports omitted lines. None
-        writes all.
+        Largest number of lines (``LINES_1994`` in 1994); a warning reports omitted lines. With None
+        all lines are written.
 
     Raises
     ------
@@ -135,7 +135,7 @@ def _rows(recording: Recording, channels: list[Channel], every: int) -> Iterator
 
 
 def read_plt(path: Path) -> Recording:
-    """Read a file of ``write_plt`` as measured positions.
+    """Read a file that ``write_plt`` wrote, as measured positions.
 
     Raises
     ------
@@ -180,7 +180,7 @@ def read_plt(path: Path) -> Recording:
             simulated=False,
         )
         for _ in recording:
-            pass  # read every line now, so that a wrong one is found before the recording is used
+            pass  # read every line now, so that a wrong line is found before the recording is used
     return recording
 
 

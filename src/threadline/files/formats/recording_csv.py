@@ -1,4 +1,4 @@
-"""Recordings in ``.csv`` files: of Threadline, or traces of other programs."""
+"""Recordings in ``.csv`` files: written by Threadline, or traces from other programs."""
 
 from __future__ import annotations
 
@@ -109,9 +109,9 @@ def read_recording_csv(path: Path) -> Recording:
     """Read a recording from text.
 
     A file of Threadline is read without loss. Any other file begins, after comment lines with
-    ``#``, with a line of columns and units, ``time [s],X [mm],A [deg]``, separated by commas,
-    semicolons or tabs. Its instants must lie on an even grid within ``JITTER`` of a period. The
-    whole file is checked before the first sample is returned.
+    ``#``, with a line of columns and units, such as ``time [s],X [mm],A [deg]``. Separators are
+    commas, semicolons or tabs. The instants must lie on an even grid, within ``JITTER`` of a
+    period. The whole file is checked before the first sample is returned.
 
     Raises
     ------
@@ -122,7 +122,7 @@ def read_recording_csv(path: Path) -> Recording:
         own = next(text_lines(path), (1, ""))[1] == f"# threadline {TITLE}"
         recording = _read_native(path) if own else _foreign(path)
         for _ in recording:
-            pass  # read every line now, so that a wrong one is found before the recording is used
+            pass  # read every line now, so that a wrong line is found before the recording is used
     return recording
 
 

@@ -1,10 +1,10 @@
 """Recordings in MCAP files, written block by block and readable after a crash of the writer.
 
 MCAP (mcap.dev) is a container of messages. The schema holds the channels, their clocks and the
-hashes of job and machine. Each block is one message in one chunk, complete in the file with its
-checksum as soon as it is written. The end of the file holds a checksum of all chunks and a checksum
-of the index behind them. A file with a wrong checksum is refused. A file without checksums is
-refused, too, because damage would go unnoticed.
+hashes of job and machine. Each block is one message in one chunk, which is complete in the file,
+with its checksum, as soon as it is written. The end of the file holds a checksum of all chunks and
+a checksum of the index that follows them. A file with a wrong checksum is refused. A file without
+checksums is refused as well, because damage to it would not be noticed.
 """
 
 from __future__ import annotations
@@ -70,20 +70,20 @@ _UNREAD: dict[int, Any] = {
     Opcode.ATTACHMENT: records.Attachment,
     Opcode.METADATA: records.Metadata,
 }
-"""Kinds of records that are allowed in the data section and ignored."""
+"""Kinds of records that may occur in the data section and are ignored."""
 _encoded = json.JSONEncoder(ensure_ascii=False, allow_nan=False).encode
 _ENDING = len(_FOOTER) + 8 + 8 + _CRC.size + len(MAGIC)  # bytes of a footer and the magic after it
 
 
 class TraceWriter:
-    """Writes a recording during the run; each block is flushed to the file at once.
+    """Writes a recording during the run; each block is flushed to the file immediately.
 
     Parameters
     ----------
     file
         A file opened for writing; the caller closes it.
     recording
-        Description of the recording; its channels and origin are written, its blocks are not read.
+        Description of the recording: its channels and origin are written; its blocks are not read.
     """
 
     def __init__(self, file: IO[bytes], recording: Recording) -> None:
@@ -121,7 +121,7 @@ class TraceWriter:
         self._file.flush()
 
     def finish(self) -> None:
-        """Write the end of the file; a file without it counts as broken off."""
+        """Write the end of the file; a file without this end counts as broken off."""
         self._messages.finish()
         self._file.flush()
 
@@ -137,12 +137,14 @@ def write_recording_mcap(recording: Recording, path: Path) -> Written:
 
 
 def read_recording_mcap(path: Path) -> Recording:
-    """Read a file of ``TraceWriter``; a file that breaks off gets a final event of kind ``fault``.
+    """Read a file that ``TraceWriter`` wrote.
+
+    If the file breaks off, a final event of the kind ``fault`` is added.
 
     Raises
     ------
     RecordingError
-        If it is damaged before its end, has no checksums, or is not a recording.
+        If the file is damaged before its end, has no checksums, or is not a recording.
     """
     with clear_errors(path), path.open("rb") as file:
         schema = next((r for r, _ in _records(file, path) if isinstance(r, Schema)), None)
@@ -170,10 +172,10 @@ def read_recording_mcap(path: Path) -> Recording:
 
 
 def _records(file: IO[bytes], path: Path) -> Iterator[tuple[Any, bool]]:
-    """Yield schemas and messages of the data section, then None and True at its regular end.
+    """Yield (record, False) for the schemas and messages, then (None, True) at the regular end.
 
-    An incomplete record is the last one: the program that wrote the file ended there. Data that no
-    checksum confirms is refused, at the latest after the last record.
+    An incomplete record must be the last record: the program that wrote the file ended there. Data
+    without a checksum is refused, at the latest after the last record.
     """
     magic = file.read(len(MAGIC))
     if not MAGIC.startswith(magic):
@@ -202,7 +204,7 @@ def _records(file: IO[bytes], path: Path) -> Iterator[tuple[Any, bool]]:
 
 
 def _begins_like_a_trace(file: IO[bytes]) -> bool:
-    """Return whether a file begins like one of ``TraceWriter``, or is still empty."""
+    """Return whether a file begins like a file of ``TraceWriter``, or is still empty."""
     file.seek(0)
     head = file.read(len(MAGIC) + _RECORD.size + _CRC.size + len(_PROFILE))
     return MAGIC.startswith(head) or head.endswith(_PROFILE.encode())
@@ -233,7 +235,7 @@ def _check_length(length: int, path: Path) -> None:
 
 
 def _check_crc(stored: int, found: int, what: str, path: Path) -> None:
-    """Refuse bytes with a wrong checksum; 0 means that none was written."""
+    """Refuse bytes with a wrong checksum; 0 means that no checksum was written."""
     if stored not in {0, found}:
         raise _damaged(f"the checksum of {what} is {found:08x}, the file says {stored:08x}", path)
 
@@ -249,7 +251,7 @@ def _check_end(content: bytes, crc: int, path: Path, *, bare: bool) -> None:
 
 
 def _check_summary(rest: bytes, path: Path) -> None:
-    """Check the index behind the data; an interrupted writer leaves it unfinished.
+    """Check the index after the data; it may be unfinished if the writer was interrupted.
 
     No result depends on the index.
     """
@@ -278,7 +280,7 @@ def _check_cut(kind: int, length: int, content: bytes, path: Path) -> None:
 
 
 def _check_broken_off(file: IO[bytes], path: Path, *, bare: bool) -> None:
-    """Refuse a file that has its last bytes although its records ended before them."""
+    """Refuse a file that has the last bytes of a complete file although its records end earlier."""
     file.seek(max(file.seek(0, 2) - len(MAGIC), 0))
     if file.read() == MAGIC and file.tell() > len(MAGIC):
         raise _damaged("its records do not lead to its end", path)
@@ -287,9 +289,9 @@ def _check_broken_off(file: IO[bytes], path: Path, *, bare: bool) -> None:
 
 
 def _parse_records(kind: int, content: bytes, path: Path) -> tuple[list[Any], bool]:
-    """Return the schemas and messages in a record, or in the chunk that it holds.
+    """Return the schemas and messages in a record, or in the chunk that the record holds.
 
-    The second value tells whether a checksum of their own confirms them.
+    The second value is True if a checksum of the chunk itself confirms them.
     """
     stream = ReadDataStream(BytesIO(content))
     found: list[Any] = []
@@ -325,7 +327,7 @@ def _parse_records(kind: int, content: bytes, path: Path) -> tuple[list[Any], bo
 
 
 def _unpacked(chunk: Chunk) -> bytes:
-    """Return the decompressed bytes of a chunk, at most as many as its header claims."""
+    """Return the decompressed bytes of a chunk, not more than its header claims."""
     size = chunk.uncompressed_size
     if chunk.compression == "zstd":
         reader = zstandard.ZstdDecompressor().stream_reader(chunk.data)

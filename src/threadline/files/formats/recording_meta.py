@@ -1,4 +1,4 @@
-"""Parts of a recording's file beside the samples: its description and its events."""
+"""The parts of a recording file other than the samples: the description and the events."""
 
 from __future__ import annotations
 
@@ -105,9 +105,9 @@ def recording_meta(recording: Recording) -> dict[str, Any]:
 
 
 def operation_fault(value: float) -> str | None:
-    """Return the fault of a sample in a channel of operations, or None.
+    """Return what is wrong with a sample of a channel of operations, or None.
 
-    Operations are counted from 0; -1 stands for none.
+    Operations are counted from 0; -1 stands for no operation.
     """
     if -1.0 <= value <= _MOST_OPERATIONS and value.is_integer():
         return None
@@ -117,7 +117,7 @@ def operation_fault(value: float) -> str | None:
 def recording_from(
     meta: Any, path: Path, samples: Callable[..., Iterator[RecordingBlock]], *given: object
 ) -> Recording:
-    """Return the recording of a file's description and samples.
+    """Return the recording with the description and the samples of a file.
 
     Parameters
     ----------
@@ -127,7 +127,7 @@ def recording_from(
         The file.
     samples
         Called for each reading with the file and its hash, the channels, and the arguments
-        ``given``; it yields the blocks.
+        ``given``; yields the blocks.
 
     Raises
     ------
@@ -177,14 +177,14 @@ _COLUMNS = {
 
 
 def events_cell(events: Iterable[Event], *, ticks: bool = False) -> str:
-    """Return events as the cell of a table; empty for none.
+    """Return events as the cell of a table; an empty cell if there are none.
 
     Parameters
     ----------
     events
         Events of the row, in order.
     ticks
-        Write the tick of each event; otherwise it is the tick of the row.
+        Whether to write the tick of each event; if not, it is the tick of the row.
     """
     items = [event_item(e) if ticks else event_item(e)[:-1] for e in events]
     if not items:
@@ -194,12 +194,12 @@ def events_cell(events: Iterable[Event], *, ticks: bool = False) -> str:
 
 
 def event_item(event: Event) -> list[Any]:
-    """Return an event in the order of files: kind, operation, name, value, tick."""
+    """Return an event as a list for a file: kind, operation, name, value, tick."""
     return [event.kind, event.operation, event.name, event.value, event.tick]
 
 
 def event_from(item: Any, place: Place) -> Event:
-    """Return the event from a list of ``event_item``.
+    """Return the event in a list that ``event_item`` made.
 
     Raises
     ------
@@ -210,7 +210,7 @@ def event_from(item: Any, place: Place) -> Event:
 
 
 def parse_events_cell(cell: str, tick: int | None, place: Place) -> list[Event]:
-    """Return the events of a cell of ``events_cell``, with ticks if ``tick`` is None."""
+    """Return the events in a cell that ``events_cell`` made; it has ticks if ``tick`` is None."""
     if not cell:
         return []
     if not (len(cell) > 1 and cell[0] == cell[-1] == '"'):
@@ -275,7 +275,7 @@ class EventSpool:
 
     @property
     def names(self) -> list[str]:
-        """The names to which the column ``event_name`` is an index."""
+        """The names that the column ``event_name`` refers to by index."""
         return list(self._names)
 
 

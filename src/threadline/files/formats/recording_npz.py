@@ -32,14 +32,14 @@ from threadline.files.formats.recording_meta import (
 from threadline.files.recording import Channel, ChannelKind, Recording, RecordingBlock
 
 MAX_BLOCK_SAMPLES = 1 << 26
-"""Largest number of samples in one block, all channels together: a block is kept in memory."""
+"""Largest number of samples in one block, over all channels: a block is kept in memory."""
 
 _PLAIN = re.compile(r"[A-Za-z][A-Za-z0-9_.-]{0,60}")
 _TAKEN = {"blocks", "event_tick", "event_kind", "event_operation", "event_name", "event_value"}
 
 
 def _column_names(channels: tuple[Channel, ...]) -> list[str]:
-    """Return a column name for each channel: the channel's name where it is a valid file name."""
+    """Return a column name for each channel: the channel's name if it is a valid file name."""
     return [
         c.name
         if _PLAIN.fullmatch(c.name) and c.name not in _TAKEN and not c.name.startswith("channel-")
@@ -84,7 +84,7 @@ def write_recording_npz(recording: Recording, path: Path) -> Written:
 
 
 def read_recording_npz(path: Path) -> Recording:
-    """Read a file of ``write_recording_npz``; samples stay in the file until they are used.
+    """Read a file that ``write_recording_npz`` wrote; samples stay in the file until they are used.
 
     Raises
     ------
@@ -159,7 +159,7 @@ def _samples(
 
 
 def _check_block(lengths: Any, left: Any, path: Path) -> None:
-    # No length exceeds the rows left in the file, so that their sum cannot overflow.
+    # No length may exceed the rows left in the file, so that the sum of lengths cannot overflow.
     if (lengths >= 0).all() and (lengths <= left).all() and lengths.sum() <= MAX_BLOCK_SAMPLES:
         return
     raise RecordingError(

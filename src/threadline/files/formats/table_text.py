@@ -1,4 +1,4 @@
-"""Reader of tick tables in CSV, and of the lines common to all text formats of tick tables."""
+"""Reader of tick tables in CSV, and of the lines that all text formats of tick tables share."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ _LAST = 200  # bytes at the end of a file that hold its last line
 
 
 def read_head(path: Path, title: str) -> tuple[dict[str, Any], int, str]:
-    """Return the description, and the number and text of the line of column names.
+    """Return the description, and the number and the text of the line of column names.
 
     Raises
     ------
@@ -83,13 +83,13 @@ def check_columns(found: str, expected: list[str], place: Place) -> None:
 
 
 def read_table_csv(path: Path) -> TickTable:
-    """Read a file of ``write_table_csv``; the rows stay in the file until they are used.
+    """Read a file that ``write_table_csv`` wrote; the rows stay in the file until they are used.
 
     Raises
     ------
     RecordingError
         If it is not a tick table, a row is wrong, or the rows disagree with their hash. A table of
-        an older version has no hash: a wrong row is found only while reading.
+        an older version has no hash; a wrong row of such a table is found only when it is read.
     """
     return read_text_table(path, TITLE, csv_columns, _blocks)
 
@@ -107,10 +107,10 @@ def read_text_table(
     title
         Name and version of the format, on the first line.
     columns_of
-        Returns the column names for these axes, with or without the columns of the needle.
+        Returns the column names for the given axes, with or without the columns of the needle.
     blocks
         Called for each reading with the file and its hash, the number of axes, the line number of
-        the column names, and the number of needle columns; it yields the blocks.
+        the column names, and the number of needle columns; yields the blocks.
 
     Raises
     ------
@@ -203,7 +203,7 @@ def _cut_off(place: Place) -> RecordingError:
 
 
 def stated_tick_count(path: Path) -> int:
-    """Return the number of ticks that the last line of a table gives, without reading the others.
+    """Return the number of ticks in the last line of a table, without reading the other lines.
 
     Raises
     ------

@@ -39,8 +39,8 @@ from threadline.files.formats.recording_meta import EventColumns, EventSpool, ev
 from threadline.files.stream import Stream
 
 NEEDLE_COLUMNS = ("needle_down [s]", "needle_up", "trim")
-"""Needle columns in text: time from the tick to needle-down, whether the needle must be up,
-trim."""
+"""Needle columns in text: time from the tick to needle-down, whether the needle must be up, and
+whether the thread is trimmed."""
 
 
 @dataclasses.dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -52,7 +52,7 @@ class NeedleRows:
     row
         (k,) rows in which the needle goes down, in order; a row may occur twice.
     after_s
-        (k,) time of needle-down after the tick of its row.
+        (k,) time of needle-down after the tick of its row, s.
     up
         (rows,) whether the needle must be up.
     trim
@@ -142,7 +142,7 @@ def table_meta(table: TickTable) -> dict[str, Any]:
 def table_from(
     meta: Any, path: Path, rows: Callable[..., Iterator[TickBlock]], *given: object
 ) -> TickTable:
-    """Return the table with a file's description and rows.
+    """Return the table with the description and the rows of a file.
 
     Parameters
     ----------
@@ -152,7 +152,7 @@ def table_from(
         The file.
     rows
         Called for each reading with the file and its hash, the number of axes, and the arguments
-        ``given``; it yields the blocks.
+        ``given``; yields the blocks.
 
     Raises
     ------
@@ -213,8 +213,8 @@ def write_table_npz(table: TickTable, path: Path, needle: NeedleSource | None = 
     Parameters
     ----------
     needle
-        Columns of the needle, for a seam: ``needle_down_tick`` and ``needle_down_s`` after that
-        tick, a row per needle-down; ``needle_up`` and ``trim``, a row per tick.
+        Columns of the needle, for a seam. ``needle_down_tick`` and ``needle_down_s`` (time after
+        that tick) have a row per needle-down; ``needle_up`` and ``trim`` have a row per tick.
     """
     with atomic_file(path) as file, ColumnSpool(Path(file.name).parent) as spool:
         spool.column("counts", "<i8", (len(table.axes),))
@@ -239,7 +239,7 @@ def write_table_npz(table: TickTable, path: Path, needle: NeedleSource | None = 
 
 
 def read_table_npz(path: Path) -> TickTable:
-    """Read a file of ``write_table_npz``; the rows stay in the file until they are used.
+    """Read a file that ``write_table_npz`` wrote; the rows stay in the file until they are used.
 
     Raises
     ------
@@ -249,7 +249,7 @@ def read_table_npz(path: Path) -> TickTable:
     with clear_errors(path), ColumnArchive(path) as archive:
         meta, names = _split_npz_meta(archive.meta(), path)
         table = table_from(meta, path, _npz_blocks, tuple(names))
-        # Open every column once, so that a wrong one is found before the table is used.
+        # Open every column once, so that a wrong column is found before the table is used.
         _open_npz(archive, names, len(table.axes), path)
         archive.verify()
         return checked_rows(table, meta, path)
@@ -324,7 +324,7 @@ def checked_counts(counts: IntArray, path: Path) -> IntArray:
 
 
 def csv_columns(axes: Sequence[str], needle: bool) -> list[str]:
-    """Return the names of the columns of a table."""
+    """Return the names of the columns of a table in CSV."""
     counts = [f"{axis} [count]" for axis in axes]
     return ["tick", *counts, "operation", *(NEEDLE_COLUMNS if needle else ()), "events"]
 
@@ -383,6 +383,6 @@ def _csv_rows(needle: NeedleSource | None, period_s: float, block: TickBlock, ax
         cell = events_cell(cells.pop(tick)) if tick in cells else ""
         lines.append(f"{tick},{','.join(map(str, counts))},{operation},{more}{cell}\n")
     empty = "," * (axes + 2 + (0 if needle is None else len(NEEDLE_COLUMNS)))
-    for tick, events in cells.items():  # after the last row: no counts, no operation
+    for tick, events in cells.items():  # events after the last row: no counts, no operation
         lines.append(f"{tick}{empty}{events_cell(events)}\n")
     return "".join(lines)

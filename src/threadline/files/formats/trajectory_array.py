@@ -1,9 +1,8 @@
 """The trajectory array of the 1994 controller: travel ticks, and counts per tick of every axis.
 
-Each line holds a constant speed for some ticks. Speeds are whole counts per tick plus a remainder,
-which is spread evenly: with ``n`` ticks, remainder ``r`` and phase ``h``, tick k travels ``v +
-floor((h + (k + 1) r) / n) - floor((h + k r) / n)``. This reproduces every row of the original
-table.
+Each line holds a constant speed for n ticks: v whole counts per tick and a remainder of r counts,
+which is spread evenly. With the phase h, the travel in tick k is ``v + floor((h + (k + 1) r) / n) -
+floor((h + k r) / n)``. This reproduces every row of the original table.
 """
 
 from __future__ import annotations
@@ -39,7 +38,7 @@ from threadline.files.formats.tick_table import (
 )
 
 TITLE = "trajectory-array 1"
-MAX_TICKS = 1 << 31  # per line: products with a remainder stay exact in 64 bits
+MAX_TICKS = 1 << 31  # largest n of a line: products with a remainder stay exact in 64 bits
 
 
 def _columns(axes: Sequence[str], needle: bool) -> list[str]:
@@ -53,8 +52,8 @@ def write_array(table: TickTable, path: Path, needle: NeedleSource | None = None
     Parameters
     ----------
     needle
-        Columns of the needle, for a seam; a line ends where the needle must come up, or trimming
-        begins or ends.
+        Columns of the needle, for a seam. A line ends at every tick at which the needle must come
+        up or may come down again, or at which trimming begins or ends.
     """
     columns = _columns(table.axes, needle is not None)
     period_s = float(table.clock.period_s)
@@ -99,13 +98,13 @@ def _lines(
 
 
 def read_array(path: Path) -> TickTable:
-    """Read a file of ``write_array``; the lines stay in the file until they are used.
+    """Read a file that ``write_array`` wrote; the lines stay in the file until they are used.
 
     Raises
     ------
     RecordingError
         If it is not a trajectory array, a line is wrong, or the rows disagree with their hash. A
-        table of an older version has no hash: a wrong row is found only while reading.
+        table of an older version has no hash; a wrong row of it is found only when it is read.
     """
     return read_text_table(path, TITLE, _columns, _blocks)
 
@@ -113,7 +112,7 @@ def read_array(path: Path) -> TickTable:
 def _blocks(known: KnownFile, axes: int, head: int, beside: int) -> Iterator[TickBlock]:
     """Yield the blocks; the ``beside`` columns of the needle are counted but not read."""
     path = known.path
-    first, ready = 0, 0  # tick of the next block, rows in hand
+    first, ready = 0, 0  # tick of the next block, rows that are ready for it
     counts: list[IntArray] = []
     operation: list[IntArray] = []
     events: list[Event] = []
@@ -165,7 +164,7 @@ def _blocks(known: KnownFile, axes: int, head: int, beside: int) -> Iterator[Tic
 
 
 def _check_within(end: int, path: Path, place: Place) -> None:
-    """Refuse a line beyond the stated end of the table, before making its rows."""
+    """Refuse a line beyond the stated end of the table, before its rows are made."""
     last = stated_tick_count(path)
     if end > last:
         raise RecordingError(

@@ -1,4 +1,4 @@
-"""SVG drawings, read strictly: a construct that is not understood is refused and not ignored."""
+"""SVG drawings, read strictly: a construct that is not understood is refused, not ignored."""
 
 from threadline.geometry.svg.read_svg import read_svg
 

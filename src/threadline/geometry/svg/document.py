@@ -1,4 +1,4 @@
-"""The elements of an SVG with their lines, and the notation of their values."""
+"""The elements of an SVG with their lines in the file, and the parsers of their values."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ PIXELS = {
     "pt": 96.0 / 72.0,
     "pc": 16.0,
 }
-"""CSS pixels in each unit; a number without unit is in pixels."""
+"""Number of CSS pixels per unit; a number without unit is in pixels."""
 _LENGTH_REMEDY = "Write it in mm, cm, in, pt, pc, px or %, like 12.5mm, without a blank."
 _FUNCTION = re.compile(r"([a-zA-Z]+)\s*\(([^()]*)\)\s*,?\s*")
 _ANGLES = {"deg": 1.0, "rad": math.degrees(1.0), "grad": 0.9, "turn": 360.0}
@@ -70,12 +70,12 @@ turquoise=40e0d0 violet=ee82ee wheat=f5deb3 white=ffffff whitesmoke=f5f5f5 yello
 yellowgreen=9acd32
 """
 _NAMED = dict(entry.split("=") for entry in _COLOURS.split())
-"""The colours that CSS Color Module Level 4 names, in digits as rrggbb."""
+"""The named colours of CSS Color Module Level 4, as rrggbb in hexadecimal digits."""
 _CHANNELS = re.compile(r"(rgb|hsl)a?\(\s*([^()]*?)\s*\)")
 
 
 class ValueRefused(ValueError):  # noqa: N818 - it names the refused value
-    """A value that is not understood; ``remedy`` says what to write instead."""
+    """A value that is not understood; ``remedy`` says what may be written instead."""
 
     def __init__(self, message: str, remedy: str = "") -> None:
         super().__init__(message)
@@ -83,12 +83,12 @@ class ValueRefused(ValueError):  # noqa: N818 - it names the refused value
 
 
 def shown(text: str) -> str:
-    """Return a text for a message: in quotes, and not too long."""
+    """Return a text in quotes and shortened, for a message."""
     return repr(text if len(text) <= SHOWN else text[:SHOWN] + "...")
 
 
 def pixels(key: str, written: str, whole: float = math.nan) -> float:
-    """Return a length in pixels; ``whole`` is the length of 100 %, NaN if a share has no meaning.
+    """Return a length in pixels; ``whole`` is the length of 100 %, NaN if percents are not allowed.
 
     Raises
     ------
@@ -109,12 +109,12 @@ def pixels(key: str, written: str, whole: float = math.nan) -> float:
 
 
 def numbers(text: str) -> list[float]:
-    """Return numbers that are separated by blanks, commas or only a sign.
+    """Return the numbers in a text, which are separated by blanks, commas or only by a sign.
 
     Raises
     ------
     ValueRefused
-        If there is anything else.
+        If the text contains anything else.
     """
     found: list[float] = []
     at = 0
@@ -134,8 +134,8 @@ def transform(written: str, in_style: bool = False) -> FloatArray:
     Parameters
     ----------
     in_style
-        Whether the text is from a style, where lengths and angles have units; in an attribute they
-        are numbers alone, in pixels and degrees.
+        Whether the text is from a style, in which lengths and angles have units. In an attribute
+        they are plain numbers, in pixels and degrees.
 
     Raises
     ------
@@ -189,7 +189,7 @@ def _function(name: str, inside: str, in_style: bool) -> FloatArray:
 
 
 def _styled(name: str, inside: str) -> list[float]:
-    """Return the numbers of a function of a style sheet, lengths in px, angles in degrees."""
+    """Return the arguments of a function of a style sheet: lengths in px, angles in degrees."""
     found = []
     for part in inside.split(","):
         match = _LENGTH.fullmatch(part.strip())
@@ -277,12 +277,12 @@ class Element:
 
     @property
     def identity(self) -> str:
-        """Its id, empty without one."""
+        """Id of the element, empty without one."""
         return self.attributes.get("id", "")
 
     @property
     def target(self) -> str:
-        """The id that a ``use`` names."""
+        """The id of the element that a ``use`` clones."""
         if self.name != "use":
             return ""
         return self.attributes.get("href", self.attributes.get(f"{_XLINK}href", "")).lstrip("#")
@@ -298,7 +298,7 @@ class Tree:
     sheets: tuple[Element, ...]
 
     def place(self, element: Element) -> Place:
-        """Return the place of an element."""
+        """Return the file and line of an element."""
         return Place(self.file, element.line)
 
 
@@ -308,8 +308,8 @@ def svg_tree(content: bytes, file: str) -> Tree:
     Raises
     ------
     JobError
-        With the line, if the file is not well-formed XML or no SVG, declares entities, has its
-        styles in another file, or nests or clones elements too deeply.
+        If the file is not well-formed XML or not an SVG, declares entities, has its styles in
+        another file, or nests or clones elements too deeply; names the line.
     """
     text = decode_text(content, file, "SVG drawing")
     # Remove the XML declaration: it names the file's encoding, and the text is decoded already.
@@ -325,7 +325,7 @@ def svg_tree(content: bytes, file: str) -> Tree:
             place=Place(file, error.lineno),
             remedy="Save the drawing again as plain SVG.",
         ) from error
-    assert visit.root is not None  # a document without one is not well-formed
+    assert visit.root is not None  # a document without a root is not well-formed
     tree = Tree(file, visit.root, visit.by_id, tuple(visit.sheets))
     _refuse_endless_clones(tree)
     return tree
@@ -412,7 +412,7 @@ def _below(tree: Tree, element: Element) -> Iterator[Element]:
 
 
 def _refuse_endless_clones(tree: Tree) -> None:
-    """Refuse elements that are clones of themselves, and too many clones of clones."""
+    """Refuse elements that clone themselves, and clones that make too many elements."""
     sizes: dict[int, int] = {}
     order: list[tuple[Element, bool]] = [(tree.root, False)]
     open_elements: set[int] = set()

@@ -21,7 +21,7 @@ _FLAG = re.compile(r"\s*,?\s*([01])")
 _COMMAND = re.compile(r"\s*([MmZzLlHhVvCcSsQqTtAa])")
 _NO_NUMBER = re.compile(r"nan|inf(?:inity)?", re.IGNORECASE)
 _REMEDY = "Correct it, or draw the path again and save as plain SVG."
-# From Bernstein's coefficients to coefficients of powers.
+# Matrices from Bernstein coefficients to power coefficients.
 _QUADRATIC = np.array([[1.0, 0.0, 0.0], [-2.0, 2.0, 0.0], [1.0, -2.0, 1.0]])
 _CUBIC = np.array(
     [[1.0, 0.0, 0.0, 0.0], [-3.0, 3.0, 0.0, 0.0], [3.0, -6.0, 3.0, 0.0], [-1.0, 3.0, -3.0, 1.0]]
@@ -31,9 +31,9 @@ Point = tuple[float, float]
 
 @dataclass(slots=True)
 class Subpath:
-    """The segments between two moves: each has 2, 3 or 4 control points, or is an arc.
+    """The segments between two moves; each segment has 2, 3 or 4 control points, or is an arc.
 
-    An arc is given by its centre, its two half axes, the angle of its beginning and its sweep.
+    An arc is given by its centre, its two half axes, the angle at its beginning and its sweep.
     """
 
     segments: list[tuple[Point, ...] | tuple[Point, Point, Point, float, float]] = field(
@@ -80,12 +80,13 @@ class Subpath:
 
 
 def path_subpaths(data: str) -> list[Subpath]:
-    """Return the subpaths of the data of a path that have segments.
+    """Return the subpaths of path data that have segments.
 
     Raises
     ------
     ValueRefused
-        With the character, if the grammar does not allow the data; browsers would draw a part.
+        If the grammar does not allow the data; names the character. A browser would draw the path
+        up to this character.
     """
     reader = _Reader(data)
     if data.strip() not in ("", "none"):
@@ -103,8 +104,8 @@ class _Reader:
         self.found: list[Subpath] = []
         self.here: Point = (0.0, 0.0)
         self.first: Point = (0.0, 0.0)
-        self.last = ""  # the command before, upper case
-        self.control: Point = (0.0, 0.0)  # its last control point
+        self.last = ""  # the preceding command, upper case
+        self.control: Point = (0.0, 0.0)  # last control point of the preceding command
         self.closed = False
 
     def command(self) -> bool:
@@ -127,7 +128,7 @@ class _Reader:
             if upper == "Z" or not self._another():
                 return True
             if upper == "M":
-                upper = "L"  # further pairs of a move are lines
+                upper = "L"  # further pairs after a move are lines
 
     def _another(self) -> bool:
         return _NUMBER.match(self.data, self.at) is not None
@@ -147,7 +148,7 @@ class _Reader:
         return found
 
     def _after_letter(self) -> bool:
-        before = self.at  # a copy of the place alone, because a path may have a million numbers
+        before = self.at  # keep only the position, because a path may have a million numbers
         while before and self.data[before - 1].isspace():
             before -= 1
         return self.data[before - 1 : before].isalpha()
@@ -163,7 +164,7 @@ class _Reader:
         raise ValueRefused(f"the data of a path is wrong: {said}", _REMEDY)
 
     def add(self, *segment: object) -> None:
-        if self.closed:  # a segment after a closed subpath begins another one at its start
+        if self.closed:  # a segment after a closed subpath begins a new subpath at its start
             self.found.append(Subpath())
             self.closed = False
         self.found[-1].segments.append(segment)  # type: ignore[arg-type]
@@ -172,13 +173,13 @@ class _Reader:
         x0, y0 = self.here
         base = (x0, y0) if relative else (0.0, 0.0)
         points = [(v[k] + base[0], v[k + 1] + base[1]) for k in range(0, len(v) - 1, 2)]
-        after = self.control  # of the command before
+        after = self.control  # of the preceding command
         end = points[-1] if points else self.first
         if upper == "M":
             self.found.append(Subpath())
             self.first, self.closed = end, False
         elif upper == "Z":
-            # Closing a path that has come back to its start is no segment of its own.
+            # Closing a path whose end is already at its start adds no segment.
             if self.here != self.first or not (self.closed or self.found[-1].segments):
                 self.add(self.here, self.first)
             self.closed = True
@@ -203,7 +204,7 @@ class _Reader:
         self.here, self.last = end, upper
 
     def _mirrored(self, control: Point, family: str) -> Point:
-        """Return the reflected control point, or the pen's place after another sort of command."""
+        """Return the reflected control point; after another kind of command the pen's position."""
         if not self.last or self.last not in family:
             return self.here
         return (2.0 * self.here[0] - control[0], 2.0 * self.here[1] - control[1])
@@ -221,7 +222,7 @@ class _Reader:
 def arc_segment(
     begin: Point, end: Point, radii: Point, turn_deg: float, large: bool, sweep: bool
 ) -> tuple[Point, Point, Point, float, float] | None:
-    """Return an elliptic arc by its centre, or None where it is a straight line.
+    """Return an elliptic arc by its centre, or None if it is a straight line.
 
     Notes
     -----
@@ -232,10 +233,10 @@ def arc_segment(
         return None
     c, s = math.cos(math.radians(turn_deg)), math.sin(math.radians(turn_deg))
     dx, dy = (begin[0] - end[0]) / 2.0, (begin[1] - end[1]) / 2.0
-    # On the circle of radius 1 that the ellipse is the image of.
+    # On the unit circle, whose image is the ellipse.
     x, y = (c * dx + s * dy) / rx, (c * dy - s * dx) / ry
     size = math.hypot(x, y)
-    if size == 0.0:  # smaller than rounding: no way at all
+    if size == 0.0:  # the ends coincide within rounding
         return None
     if size > 1.0:
         rx, ry, x, y = rx * size, ry * size, x / size, y / size
@@ -262,12 +263,12 @@ SHAPES = ("path", "rect", "circle", "ellipse", "line", "polyline", "polygon")
 def shape_subpaths(
     name: str, attributes: Mapping[str, str], viewport: tuple[float, float]
 ) -> list[Subpath]:
-    """Return the subpaths of a shape, in pixels of its own axes.
+    """Return the subpaths of a shape, in pixels of its own coordinate system.
 
     Parameters
     ----------
     viewport
-        Width and height that shares of lengths refer to; NaN where the drawing has none.
+        Width and height to which percents of lengths refer; NaN if the drawing has none.
 
     Raises
     ------

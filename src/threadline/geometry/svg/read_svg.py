@@ -1,4 +1,4 @@
-"""The page of an SVG: the size of a pixel of the drawing, and the page's lower edge."""
+"""Reader of SVG drawings: strokes in m, with Y up from the lower edge of the page."""
 
 from __future__ import annotations
 
@@ -31,23 +31,23 @@ from threadline.units import unit_factor
 _PIXEL_M = 0.0254 / 96.0  # CSS: 96 pixels to the inch
 _PHYSICAL = re.compile(r"\s*(\d+\.?\d*|\.\d+)\s*(mm|cm|in|pt|pc)\s*")
 _UNIT_M = {"mm": 1e-3, "cm": 1e-2, "in": 0.0254, "pt": 0.0254 / 72.0, "pc": 0.0254 / 6.0}
-_NO_PAGE = 1000.0  # pixels: the height of a page that has none
+_NO_PAGE = 1000.0  # pixels: assumed height of a page without a height
 _ALIGNED = re.compile(r"x(Min|Mid|Max)Y(Min|Mid|Max)(?:\s+(meet|slice))?")
 _SHARE = {"Min": 0.0, "Mid": 0.5, "Max": 1.0}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Page:
-    """The map from the drawing to metres, Y up from the lower edge of the page.
+    """The map from the drawing to metres, with Y up from the lower edge of the page.
 
     Parameters
     ----------
     matrix, offset
         (2, 2) and (2,): a point p of the drawing lies at ``matrix @ p + offset``, m.
     viewport
-        Width and height in the drawing's own units, NaN without one.
+        Width and height in the drawing's own units; NaN if the drawing gives none.
     warnings
-        Warnings about a size that was assumed.
+        Warnings about assumed sizes.
     """
 
     matrix: FloatArray
@@ -62,7 +62,7 @@ def svg_page(tree: Tree, unit: str | None) -> Page:
     Parameters
     ----------
     unit
-        Unit that a pixel stands for in a drawing that states no physical size.
+        Unit of a pixel, for a drawing that states no physical size.
 
     Raises
     ------
@@ -100,7 +100,7 @@ def svg_page(tree: Tree, unit: str | None) -> Page:
                 box = (0.0, 0.0, width / pixel_m, height / pixel_m)
         if not width or not height:
             raise JobError("the SVG has no size", place=place, remedy="Give it a page size.")
-        if box is None:  # a physical size alone: its pixels are CSS pixels
+        if box is None:  # a physical size without a view box: the units are CSS pixels
             box = (0.0, 0.0, width / _PIXEL_M, height / _PIXEL_M)
         scale_x, scale_y, left, top = _fitted(
             width, height, box, attributes.get("preserveAspectRatio", "xMidYMid").strip()
@@ -127,7 +127,7 @@ def _view_box(written: str | None) -> tuple[float, float, float, float] | None:
 def _pixel_size(
     attributes: Mapping[str, str], box: tuple[float, float, float, float] | None
 ) -> tuple[float, float, bool]:
-    """Return width and height in pixels, and whether the height is the height of a page."""
+    """Return width and height in pixels, and whether the drawing states the height of a page."""
     sizes: list[float | None] = []
     for key in ("width", "height"):
         written = attributes.get(key, "auto").strip()
@@ -149,7 +149,7 @@ def _pixel_size(
 def _fitted(
     width: float, height: float, box: tuple[float, float, float, float], aspect: str
 ) -> tuple[float, float, float, float]:
-    """Return the scales of X and Y, and where the drawing's origin lies from the upper left."""
+    """Return the scales of X and Y, and the drawing's origin relative to the upper left corner."""
     scale_x, scale_y = width / box[2], height / box[3]
     if aspect == "none":
         return scale_x, scale_y, -box[0] * scale_x, -box[1] * scale_y
@@ -157,7 +157,7 @@ def _fitted(
     if match is None:
         raise ValueRefused(f"preserveAspectRatio is {shown(aspect)}, which is not understood")
     scale = max(scale_x, scale_y) if match[3] == "slice" else min(scale_x, scale_y)
-    # A page drawn to scale has one scale; rounding must not make two of it.
+    # A page drawn to scale has one scale for X and Y; rounding must not make them differ.
     if math.isclose(scale_x, scale_y, rel_tol=1e-12):
         return scale_x, scale_y, -box[0] * scale_x, -box[1] * scale_y
     left = _SHARE[match[1]] * (width - scale * box[2]) - box[0] * scale
@@ -189,20 +189,21 @@ def read_svg(
     content, file
         The bytes of the file, and its name for messages.
     unit
-        Unit that a pixel stands for in a drawing that states no physical size.
+        Unit of a pixel, for a drawing that states no physical size.
     most_lines
-        Most lines of the drawing, with its clones; None is ``MAX_LINES``.
+        Largest number of lines of the drawing, clones included; None for ``MAX_LINES``.
 
     Raises
     ------
     JobError
-        With the line, if the file is no SVG, is unsafe to read, has a construct that is not
-        understood, or contradicts the given unit.
+        If the file is not an SVG, is unsafe to read, has a construct that is not understood, or
+        contradicts the given unit; names the line.
 
     Notes
     -----
-    In SVG, Y points down from the upper edge; the result is as the drawing looks on the screen. The
-    drawing is read by SVG 1.1 and CSS 2.1, at time 0, without scripts.
+    In SVG, Y points down from the upper edge. Here Y points up, and the strokes look like the
+    drawing on the screen. The drawing is read according to SVG 1.1 and CSS 2.1, at time 0, without
+    scripts.
     """
     tree = svg_tree(content, file)
     page = svg_page(tree, unit)
@@ -218,12 +219,12 @@ def read_svg(
 
 @dataclass(frozen=True, slots=True)
 class _Here:
-    """Inherited values of an element: its axes, property values, layer and clipping."""
+    """Inherited values of an element: coordinate system, property values, layer and clipping."""
 
     matrix: FloatArray
     inherited: Mapping[str, str]
     layer: str = ""
-    cut: tuple[str, int] | None = None  # what cuts it, and the line
+    cut: tuple[str, int] | None = None  # the property that clips the element, and its line
     clone: bool = False
 
 
@@ -263,7 +264,7 @@ class _Walk:
             ) from error
 
     def _enter(self, element: Element, outside: _Here, depth: int) -> _Here | None:
-        """Return the values that children of an element inherit; None where it is not drawn."""
+        """Return the values that children of an element inherit; None if it is not drawn."""
         if id(element) not in self.cached:
             self.cached[id(element)] = self.styles.declared(element)
         declared = self.cached[id(element)]
@@ -381,7 +382,7 @@ class _Walk:
 
 
 def _about(own: FloatArray, origin: str, viewport: tuple[float, float]) -> FloatArray:
-    """Return a transform about an origin in the view box."""
+    """Return the transform ``own`` about an origin, which may be given relative to the view box."""
     parts = origin.split()
     words = {"left": "0%", "top": "0%", "center": "50%", "right": "100%", "bottom": "100%"}
     if len(parts) == 3 and parts[2] in ("0", "0px"):

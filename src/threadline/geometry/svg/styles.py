@@ -13,13 +13,13 @@ READ = (
     "display", "visibility", "stroke", "fill", "color", "transform", "transform-origin",
     "clip-path", "mask", "stroke-dasharray", "stroke-width",
 )  # fmt: skip
-"""Properties that decide which shapes are sewn, and where; and how their lines are drawn."""
+"""Properties that decide which shapes are sewn, where they are, and how their lines are drawn."""
 _LOOKS = ("stroke-dasharray", "stroke-width")
 INHERITED = {
     "visibility": "visible", "stroke": "none", "fill": "black", "color": "black",
     "stroke-dasharray": "none", "stroke-width": "1",
 }  # fmt: skip
-"""Properties that a child inherits from its parent, with the values of the root."""
+"""Properties that a child inherits from its parent, each with its value at the root."""
 _INITIAL = {
     **INHERITED, "display": "inline", "transform": "none", "transform-origin": "0 0",
     "clip-path": "none", "mask": "none",
@@ -28,7 +28,7 @@ _MOVES = (
     "d", "x", "y", "cx", "cy", "r", "rx", "ry", "width", "height", "translate", "rotate",
     "scale", "zoom", "offset", "offset-path", "transform-box", "all", "clip",
 )  # fmt: skip
-"""Properties that would change the sewn shapes, and are not read from styles."""
+"""Properties that would change the sewn shapes but are not read from styles; they are refused."""
 _COMMENT = re.compile(r"/\*.*?\*/", re.DOTALL)
 _RULE = re.compile(r"([^{}]*)\{([^{}]*)\}")
 _COMPOUND = re.compile(r"(?:\*|[a-zA-Z][\w-]*)?(?:[.#][^\s.#>+~:\[\]()*,]+)*")
@@ -40,7 +40,7 @@ Strength = tuple[int, int, int, int, int, int]
 
 @dataclass(frozen=True, slots=True)
 class _Rule:
-    """A selector, as its compounds from right to left with their combinators, and a declaration."""
+    """A selector (its compounds with combinators, from right to left) and a declaration."""
 
     compounds: tuple[tuple[str, str], ...]
     weight: tuple[int, int, int]
@@ -62,8 +62,8 @@ class Styles:
         Raises
         ------
         JobError
-            With the line, if a style cannot be read, or sets a property that is read as an
-            attribute only.
+            If a style cannot be read, or sets a property that is read only from attributes; names
+            the line.
         """
         best: dict[str, tuple[Strength, str, bool]] = {}
 
@@ -180,7 +180,10 @@ def _sheet(tree: Tree, sheet: Element) -> Iterator[_Rule]:
 
 
 def _selector(text: str) -> tuple[tuple[tuple[str, str], ...], tuple[int, int, int]]:
-    """Return the compounds from the right, each with the combinator on its left, and its weight."""
+    """Return the compounds of a selector, from the right, and the weight of the selector.
+
+    Each compound comes with the combinator on its left.
+    """
     parts = re.sub(r"\s*>\s*", " > ", text).split()
     compounds: list[tuple[str, str]] = []
     combinator = ""

@@ -40,7 +40,7 @@ class SettingValue:
 
 @dataclass(slots=True)
 class AxisSettings:
-    """Settings of an axis in the firmware's units; None where the file gives none.
+    """Settings of an axis in the firmware's units; None if the file gives none.
 
     Parameters
     ----------
@@ -55,7 +55,7 @@ class AxisSettings:
     microsteps
         Microsteps per full step of its driver.
     wrapped
-        Whether the control reads the angles of a rotary axis in one turn.
+        Whether the control reads angles of a rotary axis modulo one turn.
     """
 
     steps: SettingValue | None = None
@@ -77,7 +77,7 @@ class Settings:
     file
         Path of the settings file.
     form
-        Variant of the settings format; empty where there is only one.
+        Variant of the settings format; empty if there is only one.
     dialect
         Dialect of its part programs; empty for the dialect with the name of the firmware.
     axes
@@ -86,14 +86,14 @@ class Settings:
         Settings of the motion planner, by the keys of ``[planner]`` in a machine file, in mm and
         degrees; ``jump.X`` is the jump of axis X.
     turning
-        Axis -> whether it is rotary, as far as the settings say so.
+        Axis -> whether it is rotary, if the settings say so.
     coupled
-        The file's name of kinematics in which a motor moves more than one axis but the limits apply
-        to axes; empty for one motor per axis.
+        Name, in the file, of kinematics in which a motor moves more than one axis but the limits
+        apply to axes; empty for one motor per axis.
     unheeded
-        Settings that change the motion but have no place in a machine file, a sentence each.
+        Settings that change the motion but have no place in a machine file: a sentence for each.
     notes
-        Assumptions made in reading, a sentence each.
+        Assumptions made during reading: a sentence for each.
     """
 
     firmware: str
@@ -112,7 +112,7 @@ class Settings:
     ) -> None:
         """Set ``what`` of an axis to the number ``text``; ``name`` is its name in the file.
 
-        ``typed`` is what the file has, where ``text`` was converted from it.
+        ``typed`` is the text in the file, if ``text`` was converted from it.
 
         Raises
         ------
@@ -139,12 +139,12 @@ class Settings:
     ) -> None:
         """Set ``key`` of the planner to the number ``text``; ``name`` is its name in the file.
 
-        ``typed`` is what the file has, where ``text`` was converted from it.
+        ``typed`` is the text in the file, if ``text`` was converted from it.
 
         Raises
         ------
         MachineError
-            If it is not a number from 1e-6 to 1e9 (nor 0, if ``zero`` allows it), or contradicts an
+            If it is not a number from 1e-6 to 1e9 (or 0, if ``zero`` allows it), or contradicts an
             earlier line.
         """
         value = self._number(text, place, name, zero=zero, typed=typed)
@@ -227,7 +227,7 @@ def _line(before: SettingValue, here: SettingValue) -> str:
 
 
 def number_or_nan(text: str) -> float:
-    """Return ``text`` as a number, NaN if it is not one."""
+    """Return ``text`` as a number, NaN if it is not a number."""
     try:
         return float(text)
     except ValueError:

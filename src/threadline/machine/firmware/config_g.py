@@ -1,7 +1,7 @@
 """Reader of a ``config.g`` of RepRapFirmware: settings of axes and planner in its M codes.
 
 Sources: docs.duet3d.com, "Gcode dictionary": M92, M201, M203, M204, M205, M208, M350, M425, M556,
-M566, M579, M584, M593, M595, M98 (files of the folder ``/sys``, where ``config.g`` stands, too);
+M566, M579, M584, M593, M595, M98 (files of the folder ``/sys``, which also has ``config.g``);
 RepRapFirmware, ``GCodes2.cpp``: M350 keeps the travel per full step,
 and ``DDARing.cpp``: M595 enlarges the queue of moves but never shrinks it.
 """
@@ -131,7 +131,7 @@ def _read_lines(read: _Read, lines: Sequence[str], within: tuple[Path, ...], nam
 def _beside(
     name: str, place: Place, settings: Settings, within: tuple[Path, ...]
 ) -> Iterator[Path]:
-    """Yield the file that M98 runs, if it stands beside the first one; note it, if it does not."""
+    """Yield the file that M98 runs, if it lies in the folder of the first file; else note it."""
     found = files_beside(glob.escape(name), within[0].parent)
     if not found:
         settings.unheeded.append(

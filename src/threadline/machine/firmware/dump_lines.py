@@ -2,7 +2,7 @@
 
 Users copy the answers of a firmware to ``$$`` or ``M503`` from terminals and logs of senders, which
 add prefixes: ``> $$``, ``< $0=10``, ``Recv: echo: M92 X80.00``, ``22:24:55.009 : echo:``,
-``[12:31:07] $0=10``, ``Config: M92 X80``; any other prefix counts if several settings have it.
+``[12:31:07] $0=10``, ``Config: M92 X80``. Any other text is a prefix if several settings have it.
 
 Settings are also pasted from web pages, tables and mails. HTML tags and entities, Markdown, quotes
 and bullets are removed. Rows of a table, like ``| $100 | 250 |`` or ``$100<tab>250.000<tab>X
@@ -34,7 +34,7 @@ _BEFORE = re.compile(
 )
 _SETTING = re.compile(r"\$\d{1,3}\s*=|(?<![\w.])M(?:92|20[1345])\s*[A-Z]\s*-?\d")
 _NO_PREFIX = re.compile(r"[;#%(/]|.*[\"']|.*\b(?:unknown|invalid|error|default|old|was)\b", re.I)
-_ENOUGH = 3  # settings with the same words in front
+_ENOUGH = 3  # a text before so many settings is a prefix
 _NEW_LINE = re.compile(r"</?(?:br|p|div|li|ul|ol|tr|pre|blockquote|h\d)\b[^<>]*>", re.IGNORECASE)
 _CELL = re.compile(r"</(?:td|th)\s*>", re.IGNORECASE)
 _TAG = re.compile(
@@ -54,7 +54,7 @@ _ROW = re.compile(
     r"|(?:\s*[|;:]\s*|\s+)[\"']?(?P<value>-?\d+(?:[.,]\d+)?))"
     r"(?![\d.])[\"']?(?P<rest>[\s|;,].*)?$"
 )
-_ROWS_OF_A_TABLE = 3  # rows that make a table
+_ROWS_OF_A_TABLE = 3  # smallest number of rows of a table
 _PASTED_SETTING = re.compile(
     r"(?<![\w$])\$\d{1,3}\s*=\s*-?[\d.,]+|\bM(?:92|20[1345]|350)\s.*", re.I
 )
@@ -141,14 +141,14 @@ def in_force(
 ) -> tuple[list[DumpSetting], str]:
     """Return the settings of the last complete dump among ``sayings``, and a note or "".
 
-    Settings without contradictions are one dump. Otherwise a new dump begins where the order of the
-    settings restarts, and dumps with the most settings are complete. Settings after the last
-    complete dump are appended; the caller refuses contradictions.
+    Settings that do not contradict each other are one dump. Otherwise a new dump begins where the
+    order of the settings restarts, and the dumps with the most settings are complete. Settings
+    after the last complete dump are appended; the caller refuses contradictions.
 
     Parameters
     ----------
     sayings
-        In the order of the log.
+        All settings, in the order of the log.
     same
         Returns whether two texts mean the same value.
     """
@@ -174,7 +174,7 @@ def in_force(
 
 
 def files_beside(pattern: str, folder: Path) -> list[Path]:
-    """Return the files that match ``pattern`` in ``folder`` or below; none outside of it."""
+    """Return the files that match ``pattern``, only in ``folder`` or below it."""
     try:
         found = sorted(folder.glob(pattern)) if pattern.strip("/") else []
     except (NotImplementedError, ValueError, IndexError):
@@ -223,11 +223,11 @@ def pasted(lines: Sequence[str]) -> Pasted:
 
 
 def file_lines(lines: Sequence[str]) -> list[str]:
-    """Return as many lines: a pasted file, without the marks that a page or a mail adds.
+    """Return the lines of a pasted file without the marks that a web page or a mail adds.
 
-    A quote, line numbers or time stamps before nearly every line, the fences of Markdown, tags of
-    HTML and of forums, and an indentation of the whole file are removed. Text outside of the fences
-    or of ``<pre>`` becomes empty lines.
+    Quote marks, line numbers or time stamps before nearly every line, the fences of Markdown, tags
+    of HTML and of forums, and an indentation of the whole file are removed. Lines outside of the
+    fences or of ``<pre>`` become empty, so that the number of lines does not change.
     """
     shown = list(lines)
     filled = sum(bool(line.strip()) for line in shown)
@@ -258,7 +258,7 @@ def _within(lines: Sequence[str], fence: re.Pattern[str]) -> list[str]:
 
 
 def _preformatted(lines: Sequence[str]) -> list[str]:
-    """Return the text within ``<pre>``, if the page has it, in as many lines."""
+    """Return the lines with only the text within ``<pre>`` kept, if the page has a ``<pre>``."""
     if not any(map(_PRE.search, lines)):
         return list(lines)
     found, inside = [], False

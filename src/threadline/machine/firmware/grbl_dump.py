@@ -140,7 +140,7 @@ def is_fluidnc(lines: Sequence[str]) -> bool:
 def read_fluidnc(lines: Sequence[str], file: str) -> Settings:
     """Return the settings of axes and planner in a YAML of FluidNC; keys ignore case.
 
-    A key that an axis leaves out has the value that FluidNC takes for it.
+    A key that an axis leaves out has FluidNC's default.
 
     Raises
     ------
@@ -189,7 +189,7 @@ def read_fluidnc(lines: Sequence[str], file: str) -> Settings:
 
 
 def _refuse_elsewhere(typed: str, key: str, value: str, above: list[str], place: Place) -> None:
-    """Refuse includes and inline forms, because an axis would be lost without a warning."""
+    """Refuse includes and inline forms: an axis in them would be lost without a warning."""
     if key == "include" or value.startswith(("!", "&", "*")):
         raise MachineError(
             f"{typed[:40]}: {value[:40]} is not followed",

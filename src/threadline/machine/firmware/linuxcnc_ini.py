@@ -28,7 +28,7 @@ _TURNING = "ABC"
 _OWN = re.compile(
     r"\s*\[(?:EMC|EMCMOT|KINS|TRAJ|JOINT_\d+|AXIS_\w+)\]\s*(?:[;#].*)?$", re.IGNORECASE
 )
-_SECTION = re.compile(r"\[([A-Za-z0-9_]+)\]")  # LinuxCNC, too, passes over what stands behind it
+_SECTION = re.compile(r"\[([A-Za-z0-9_]+)\]")  # LinuxCNC also ignores text after the bracket
 _INCHES = ("in", "inch", "imperial")
 _MILLIMETRES = ("mm", "metric")
 _ANGLES = {"degree": 1.0, "deg": 1.0, "radian": 57.29577951308232, "rad": 57.29577951308232,
@@ -37,7 +37,7 @@ _LIMITS = {
     "MAX_VELOCITY": ("rate", 60.0), "MAX_ACCELERATION": ("acceleration", 1.0),
 }  # fmt: skip
 _SCALES = ("STEP_SCALE", "SCALE", "ENCODER_SCALE", "INPUT_SCALE")
-"""Keys of steps or counts a unit. OUTPUT_SCALE is none: it scales what goes to an amplifier."""
+"""Keys of steps or counts per unit. OUTPUT_SCALE is not one: it scales the amplifier's input."""
 _READ = frozenset(
     (*_LIMITS, *_SCALES, "MIN_LIMIT", "MAX_LIMIT", "COORDINATES", "KINEMATICS", "LINEAR_UNITS")
 )
@@ -48,7 +48,7 @@ Keys = dict[str, tuple[str, Place]]
 
 
 def is_linuxcnc(lines: Sequence[str]) -> bool:
-    """Return whether lines hold a LinuxCNC INI: two of its sections, or any beside an #INCLUDE."""
+    """Return whether lines are a LinuxCNC INI: two of its sections, or any one and an #INCLUDE."""
     own = sum(_OWN.match(line) is not None for line in lines)
     if own > 1:
         return True
@@ -93,8 +93,8 @@ def read_linuxcnc(lines: Sequence[str], file: str) -> Settings:
 def _sections(lines: Sequence[str], file: str, notes: list[str]) -> dict[str, Keys]:
     """Return the sections by name, in capitals; repeated keys get an apostrophe each time.
 
-    A line without ``=`` is added to the ``notes``: LinuxCNC passes over it. One that begins with a
-    key that is read here is refused.
+    A line without ``=`` is noted in ``notes``, because LinuxCNC ignores it. If such a line begins
+    with a key that this module reads, it is refused.
     """
     sections: dict[str, Keys] = {}
     section: Keys | None = None
@@ -160,7 +160,7 @@ def _check_kinematics(settings: Settings, kins: Keys) -> None:
 
 
 def _letters(kins: Keys, traj: Keys, whole: Place) -> str:
-    """Return the letter of each joint, in the order of the joints."""
+    """Return the axis letter of each joint, in the order of the joints."""
     found = re.search(r"coordinates\s*=\s*([A-Za-z]+)", kins.get("KINEMATICS", ("", whole))[0])
     text = found[1] if found is not None else traj.get("COORDINATES", ("XYZ", whole))[0]
     place = traj.get("COORDINATES", kins.get("KINEMATICS", ("", whole)))[1]

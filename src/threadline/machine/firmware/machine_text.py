@@ -1,4 +1,4 @@
-"""Write a machine file from firmware settings, and ask the owner for the missing numbers."""
+"""Write a machine file from firmware settings, and name the numbers that the owner must add."""
 
 from __future__ import annotations
 
@@ -144,13 +144,13 @@ class Missing:
 
 
 def missing_answers(settings: Settings, answers: Answers, *, limits_only: bool) -> list[Missing]:
-    """Return the missing numbers without repetition, in the order of the questions."""
+    """Return the missing numbers, each once, in the order of the questions."""
     found = dict.fromkeys(_missing(settings, answers, limits_only))
     return [Missing(key, what, example) for key, (what, example) in found]
 
 
 def _asked(missing: Sequence[Missing]) -> Iterator[str]:
-    """Yield the missing answers with examples; one for all linear axes that lack the same."""
+    """Yield the missing answers with examples; linear axes that lack the same share one answer."""
     for one in missing:
         base, _, axis = one.key.partition(".")
         alike = [m for m in missing if m.key.startswith(f"{base}.") and m.example == one.example]
@@ -172,15 +172,15 @@ def turning_axes(settings: Settings, answers: Answers) -> str:
 def machine_text(
     settings: Settings, answers: Answers, name: str, *, limits_only: bool = False
 ) -> str:
-    """Return the machine file of axes with steppers, from firmware settings and answers.
+    """Return the machine file for axes with steppers, from firmware settings and answers.
 
-    Every axis is rigid: its load is added to the inertia of its motor. Speed and acceleration have
-    the firmware's limits.
+    Every axis is rigid: its load is added to the inertia of its motor. The limits of speed and
+    acceleration are the firmware's limits.
 
     Parameters
     ----------
     limits_only
-        Whether to make kinematic drives, without values of motors and masses.
+        Whether to write kinematic drives, which need no values of motors and masses.
 
     Raises
     ------
@@ -260,7 +260,7 @@ def check_answers(settings: Settings, answers: Answers) -> None:
         base, _, axis = key.partition(".")
         if base == "rotary":
             continue
-        turns = bool(axis) and axis in turning  # without an axis letter: linear axes
+        turns = bool(axis) and axis in turning  # an answer without an axis is for linear axes
         if turns and base == "travel":
             raise OptionError(
                 f"--set {key}={text[:40]!r}: axis {axis} turns without end, it has no travel",
@@ -302,7 +302,7 @@ def _missing(
     turning = turning_axes(settings, answers)
     if may_turn and "rotary" not in answers.given:
         what, _ = QUESTIONS["rotary"]
-        turning += "".join(may_turn)  # so that the examples together are complete
+        turning += "".join(may_turn)  # as if rotary, so that the list of missing numbers is whole
         yield "rotary", (what, turning)
     for axis, said in settings.axes.items():
         turns = axis in turning
@@ -476,7 +476,7 @@ def _limits_of(
     way = answers.of("travel", axis)
     if said.travel is not None:
         way = f"{said.travel.value!r} mm"
-    # A job may begin anywhere between the ends, so it moves at most by the full stroke.
+    # A job may begin anywhere between the ends, so it may move by at most the full stroke.
     yield (
         f'travel = ["-{way} exact, assumed: no further than from end to end", '
         f'"{way} exact, assumed: likewise"]'

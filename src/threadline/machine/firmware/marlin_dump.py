@@ -13,7 +13,7 @@ Marlin 1.1 and later  ``M204 P R T`` ``M205 S T B`` (``Q`` in 1.1.9)       ``X Y
 Sources: Marlin 1.0.2, ``ConfigurationStore.cpp`` (S acceleration, T acceleration of retracting, X
 "maximum XY jerk"); 1.1.9 and 2.1, ``configuration_store.cpp`` and ``settings.cpp`` (P printing, R
 retracting, T travel); MarlinKimbra, ``configuration_store.cpp`` (V travel, ``M204 T0 R`` of a
-tool); ``planner.cpp`` of these (what each holds for a move without extrusion);
+tool); ``planner.cpp`` of these versions (limits of a move without extrusion);
 marlinfw.org/docs/gcode, M92, M201, M203 to M206, M420, M425, M493, M593, M665, M852.
 """
 
@@ -43,7 +43,7 @@ _COMMENT = re.compile(r"\s*(?:$|[;#(<*/>-].*|=.*)")
 _HEEDED = (206, 420, 425, 493, 593, 665, 666, 852)
 _ASSUMED = "default of marlin"
 _ALONE = (2, 1, 3)
-"""Version from which the acceleration of the axes does not bound the speed through a corner."""
+"""First version in which axis acceleration does not bound the speed through a corner."""
 _DEFAULT_JERK = {FIRST: {"X": "20", "Y": "20", "Z": "0.4"}}
 _LATER_JERK = {"X": "10", "Y": "10", "Z": "0.3"}
 
@@ -55,12 +55,12 @@ class _Evidence:
     kimbra: bool = False
     first: bool = False
     later: bool = False
-    version: tuple[tuple[int, ...], Place] | None = None  # as a line of M115 or the start tells it
+    version: tuple[tuple[int, ...], Place] | None = None  # from an M115 line or the start message
     of_both: bool = False  # a comment says that the jerk of X also applies to Y
     stealth: bool = False  # lines of Prusa's second motor mode follow
 
     def note(self, text: str, place: Place) -> None:
-        """Use a line that is not a command, in lower case."""
+        """Take evidence from a line, in lower case, that is not a command."""
         if "acceleration" in text and "retract" in text:
             self.kimbra |= "v=travel" in text or " v<" in text
             self.first |= "s=acceleration" in text
@@ -131,7 +131,7 @@ def read_marlin(lines: Sequence[str], file: str) -> Settings:
 
 
 def _prose(text: str, place: Place, evidence: _Evidence) -> None:
-    """Use a line that is not a command; refuse a line with a command in its middle."""
+    """Take evidence from a line that is not a command; refuse a command in the middle of a line."""
     bare = re.split(r"[;#]", text, maxsplit=1)[0]
     if _COUNTS.search(bare) is not None and not text.lower().startswith("unknown command"):
         raise unknown(text, place, "echo:  M92 X80.00 Y80.00, with nothing before the M")
@@ -236,7 +236,7 @@ def _corners(settings: Settings, evidence: _Evidence, form: str, keys: set[str])
     by_jerk = any(key.startswith("jump.") for key in said)
     if "junction_deviation" in said or (not by_jerk and form == LATER):
         _bounds(settings, evidence)
-        return  # by junction deviation, with its default value where none is given
+        return  # cornering is by junction deviation, with its default if no value is given
     whole = evidence.of_both or form == FIRST or "M205 Z" in keys
     if "jump.X" in said and "jump.Y" not in said and "Y" in settings.axes and whole:
         said["jump.Y"] = said["jump.X"]

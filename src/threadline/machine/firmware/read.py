@@ -71,7 +71,7 @@ def read_settings(path: str | Path, firmware: str = "") -> Settings:
             _assume(settings)
             if encoding == _OLD:
                 settings.notes.append("the file is not UTF-8 text and is read as Latin-1")
-            # An include may name Z first; people, tables and first examples begin with X.
+            # An included file may name Z first; a machine file begins with X.
             order = sorted(settings.axes, key=lambda axis: f"XYZ{axis}".index(axis))
             settings.axes = {axis: settings.axes[axis] for axis in order}
             return settings
@@ -139,4 +139,4 @@ _READERS: tuple[
     (is_config_g, read_config_g),
     (is_marlin, read_marlin),
 )
-"""Tests and readers of the firmwares, in this order: macros of Klipper hold Marlin's commands."""
+"""Test and reader of each firmware. The order matters: macros of Klipper hold Marlin's commands."""

@@ -1,4 +1,4 @@
-"""The table of kinds of work: how each plans, simulates, varies, measures and writes."""
+"""The table of kinds of work: how each kind plans, simulates, varies, measures and writes."""
 
 from __future__ import annotations
 

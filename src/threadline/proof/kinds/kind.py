@@ -44,28 +44,28 @@ class Kind:
     simulate
         Returns the recording of one run of the commands on a machine.
     days
-        Simulates the commands on a number of days: the first with the machine as its file says, the
-        others with friction, supply and encoder phases drawn from the generator.
+        Simulates the commands on a number of days. The first day has the numbers of the machine
+        file; for the other days friction, supply and encoder phases are drawn from the generator.
     ranges_of_days
-        Number of ranges that ``days`` draws from: for each encoder one, and for friction, supply
-        and the like.
+        Number of ranges that ``days`` draws from: one for each encoder, one for friction, one for
+        supply, and so on.
     on_days
-        Simulates the commands on k days, which a (k, ranges) array places within these ranges, from
-        0 to 1.
+        Simulates the commands on k days. A (k, ranges) array gives the place of each day within
+        each range, from 0 to 1.
     others
-        Simulates the commands on k machines within the tolerances of the file: a (k, n) array
-        places each number within its tolerance (``machine/variants.py``), and encoder phases are
+        Simulates the commands on k machines within the tolerances of the file. A (k, n) array gives
+        the place of each number within its tolerance (``machine/variants.py``); encoder phases are
         drawn from the generator.
     together
-        Whether machines that differ only in numbers are simulated in one call.
+        Returns whether machines that differ only in numbers are simulated in one call.
     with_criteria
-        Returns a specification with the criteria added that the options ask to report.
+        Returns the specification with the criteria added that the options ask for.
     release
         Refuses a plan that must not reach a controller.
     compared
         Options, with their values, that ``compare`` compares by default.
     targets
-        Formats in which its plans can be written, by name.
+        Formats in which plans of this kind can be written, by name.
     """
 
     name: str
@@ -98,7 +98,7 @@ def check_loops(machine: Machine) -> None:
     Raises
     ------
     PlanError
-        Names the axis and how far the loop exceeds its limit, or says that there is no loop.
+        If a loop is unstable (names the axis and the margin), or there is no loop.
     """
     if not machine.axes:
         raise PlanError(
@@ -116,7 +116,7 @@ def check_loops(machine: Machine) -> None:
         )
 
 
-LONG_S = 1.0  # of simulating, after which progress is reported
+LONG_S = 1.0  # progress is reported after this time of simulation
 _DOING = "simulating and judging"
 _MEASURING = "measuring the plan"
 WRITING = "simulating and writing the recording"
@@ -128,8 +128,8 @@ class Share:
     Parameters
     ----------
     plan
-        The plan; its duration, which may need a pass over the whole trajectory, is read only after
-        a second.
+        The plan. Its duration may need a pass over the whole trajectory, so it is read only if
+        the simulation takes longer than ``LONG_S``.
     progress
         Receives the activity and the share done; None reports nothing.
     runs
@@ -150,7 +150,10 @@ class Share:
         self._began = time.monotonic()
 
     def of(self, recordings: Sequence[Recording], before: int = 0) -> Sequence[Recording]:
-        """Return recordings that report progress as they are read; ``before`` runs precede them."""
+        """Return the recordings, which report progress as they are read.
+
+        ``before`` is the number of runs that were read before them.
+        """
         if self._progress is None:
             return recordings
         return [
@@ -177,7 +180,7 @@ class Share:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Watched:
-    """The blocks of a recording. Not a ``Stream``: its callback cannot go to another process."""
+    """The blocks of a recording; not a ``Stream``, as another process cannot get the callback."""
 
     blocks: Iterable[RecordingBlock]
     share: Share

@@ -27,7 +27,7 @@ from threadline.twin.stitching_run import driven_of
 from threadline.verdict import Spec
 
 DEFAULT_ROBUST = 0.05
-"""Share of the tolerances of loads and springs that a plan covers."""
+"""Default share of the tolerances of loads and springs that a plan covers."""
 
 
 def _check(machine: Machine) -> None:
@@ -51,7 +51,7 @@ def _check_options(machine: Machine, options: Options) -> None:
 
 
 def _plan(job: Job, machine: Machine, options: Options) -> Plan:
-    """Plan the turns of the shaft: all at the given speed, else each as slow as its move needs."""
+    """Plan the turns of the shaft: all at the given speed, else each only as slow as it must be."""
     if job.paced_by != "shaft":
         raise PlanError(
             f"{machine.name} sews embroidery designs, and {job.name} is not one",
@@ -82,16 +82,17 @@ def _simulate(commands: Commands, machine: Machine) -> Recording:
 
 
 def _any_day(commands: Commands, machine: Machine, _random: np.random.Generator) -> Recording:
-    """Simulate a machine whose sensors do not vary from run to run."""
+    """Simulate one machine; step servos have no encoder phases to draw."""
     return _simulate(commands, machine)
 
 
 def _days(
     commands: Commands, machine: Machine, count: int, random: np.random.Generator
 ) -> Sequence[Recording]:
-    """Simulate with the damping of bodies and links varied within +-30 %.
+    """Simulate days on which the damping of bodies and links differs by up to 30 %.
 
-    Nothing else varies from day to day: a servo's steps are exact at any supply voltage.
+    Nothing else varies from day to day: a servo's steps are exact at any supply voltage. The first
+    day has the damping of the machine file.
     """
     machines = [machine]
     machines += [vary(machine, damping=random.uniform(*DAMPING_OF_DAYS)) for _ in range(count - 1)]
@@ -99,7 +100,7 @@ def _days(
 
 
 def _on_days(commands: Commands, machine: Machine, places: FloatArray) -> Sequence[Recording]:
-    """Simulate with damping at (k, 1) places within +-30 %."""
+    """Simulate days with damping at (k, 1) places, from 0 to 1, of the range of +-30 %."""
     return [
         _simulate(commands, vary(machine, damping=factor))
         for factor in within(DAMPING_OF_DAYS, places[:, 0]).tolist()

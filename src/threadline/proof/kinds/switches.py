@@ -54,7 +54,7 @@ def _simulate(commands: Commands, machine: Machine) -> Recording:
 
 
 def _with_scans(commands: Commands, machine: Machine, random: np.random.Generator) -> Recording:
-    """Simulate with scans that begin early and late within the jitter of the machine file."""
+    """Simulate with scans that begin early or late, within the jitter of the machine file."""
     assert machine.plc is not None
     if machine.plc.jitter is None:
         return _simulate(commands, machine)
@@ -70,10 +70,11 @@ def _with_criteria(spec: Spec, machine: Machine, options: Options) -> Spec:  # n
 def _days(
     commands: Commands, machine: Machine, count: int, random: np.random.Generator
 ) -> Sequence[Recording]:
-    """Simulate with friction of the cylinders within +-30 %, supply within +-5 %, scans by jitter.
+    """Simulate days: friction of the cylinders within +-30 %, supply within +-5 %, jitter of scans.
 
     The phase of the scan does not vary: every move begins at a scan, and an external input is
-    assumed present when the schedule waits for it. The first run has even scans.
+    assumed to be present when the schedule waits for it. The first run has the friction and supply
+    of the machine file and evenly spaced scans.
     """
     machines = [machine]
     for _ in range(count - 1):
@@ -84,7 +85,7 @@ def _days(
 
 
 def _on_days(commands: Commands, machine: Machine, places: FloatArray) -> Sequence[Recording]:
-    """Simulate at (k, 3) places of friction, supply, and the seed of the scans."""
+    """Simulate days at (k, 3) places, from 0 to 1: friction, supply, and seed of the jitter."""
     frictions = within(FRICTION_OF_DAYS, places[:, 0]).tolist()
     supplies = within(SUPPLY_OF_DAYS, places[:, 1]).tolist()
     seeds = (places[:, 2] * (1 << 31)).astype(np.int64).tolist()

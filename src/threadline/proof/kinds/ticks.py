@@ -56,14 +56,15 @@ from threadline.winding.product import product_of_text
 if TYPE_CHECKING:
     from threadline.files.formats.tick_table import NeedleRows
 
-_SLACK = 1e-6  # ticks: a needle-down at most this long before a tick counts as at the tick
+_SLACK = 1e-6  # ticks: a needle-down up to so long before a tick counts as a needle-down at it
 
 
 class NeedleColumns:
-    """Computes the needle's columns beside the rows of a seam's table, block by block.
+    """Computes the needle columns of a seam's table, block by block.
 
-    The needle goes down at the end of every stitch, and once before the first stitch of a contour,
-    one turn earlier. Before that and after a contour's last needle-down it must be up.
+    The needle goes down at the end of every stitch. It also goes down one turn before the end of a
+    contour's first stitch. Before this first needle-down of a contour, and after the last one, the
+    needle must be up.
 
     Parameters
     ----------
@@ -84,7 +85,7 @@ class NeedleColumns:
         self._trim_until = 0  # tick
 
     def rows(self, block: TickBlock) -> NeedleRows:
-        """Return the needle's columns for the rows of ``block``, the next one of the table."""
+        """Return the needle columns of ``block``, which must be the next block of the table."""
         first, rows = block.first_tick, len(block)
         period_s = float(self._clock.period_s)
         self._pull(float(self._clock.time_s(first + rows)) + period_s)
@@ -102,7 +103,7 @@ class NeedleColumns:
         return NeedleRows(row=row, after_s=after_s, up=up, trim=self._trims(block))
 
     def _pull(self, until_s: float) -> None:
-        """Read stitches until one is later than ``until_s``."""
+        """Read stitches until the end of one is later than ``until_s``."""
         while not self._ended and self._known_s <= until_s:
             run = next(self._runs, None)
             if run is None:
@@ -136,7 +137,7 @@ class NeedleColumns:
 
 
 def _check_product(machine: Machine, product: str | None) -> None:
-    """Refuse a product on a machine without an eye.
+    """Refuse a wound product on a machine without an eye.
 
     Raises
     ------
@@ -225,7 +226,7 @@ def _plan(job: Job, machine: Machine, options: Options) -> Plan:
         along_m_s2=job.along_m_s2,
     )
     warnings: tuple[str, ...] = ()
-    # A demand above its limit is no error here: the verdict shows the effect.
+    # A voltage or current demand above its limit is no error here: the verdict shows the effect.
     if timing.smoothing_s is None:
         followed = followed_by_motors(timed, machine, job, shaper)
     elif timing.robust_share is None:
@@ -288,27 +289,27 @@ _RECORDED = (
     ChannelKind.TENSION,
     ChannelKind.OPERATION,
 )
-"""Channels of a simulated machine that the judge reads: loads, hence no encoders."""
+"""Channels of a simulated machine that the judge reads: it reads loads, and hence no encoders."""
 
 
 def _days(
     commands: Commands, machine: Machine, count: int, random: np.random.Generator
 ) -> Sequence[Recording]:
-    """Simulate runs with other friction, supply and encoder phases; the first is nominal."""
+    """Simulate runs with varied friction, supply and encoder phases; the first is nominal."""
     table = tick_table(commands)
-    if count == 1 or machine.without_dynamics:  # limits alone do not vary from day to day
+    if count == 1 or machine.without_dynamics:  # limits do not vary from day to day
         return [simulate(table, machine)]
     return _simulated_on(table, machine, drawn_days(count, len(table.axes), random))
 
 
 def _ranges_of_days(commands: Commands) -> int:
-    from threadline.machine.days import RANGES_OF_DAYS  # of searches alone
+    from threadline.machine.days import RANGES_OF_DAYS  # only searches need it
 
     return RANGES_OF_DAYS + len(tick_table(commands).axes)
 
 
 def _on_days(commands: Commands, machine: Machine, places: FloatArray) -> Sequence[Recording]:
-    """Simulate at (k, 3 + axes) places, as ``days_at`` takes them."""
+    """Simulate days at (k, 3 + axes) places, as ``days_at`` takes them."""
     from threadline.machine.days import days_at
 
     return _simulated_on(tick_table(commands), machine, days_at(places))
@@ -335,7 +336,7 @@ def _simulated_on(table: TickTable, machine: Machine, days: Days) -> Sequence[Re
 def _others(
     commands: Commands, machine: Machine, parts: FloatArray, random: np.random.Generator
 ) -> Sequence[Recording]:
-    """Simulate machines within the tolerances, with encoders at any phase."""
+    """Simulate machines within the tolerances, with random encoder phases."""
     table = tick_table(commands)
     phases = random.uniform(0.0, 1.0, (len(parts), len(table.axes)))
     if machine.position_sources:
@@ -357,13 +358,14 @@ def _others(
 
 
 def _with_criteria(spec: Spec, machine: Machine, options: Options) -> Spec:
-    """Add ``shaping_deviation`` to the specification if the motion is shaped or smoothed.
+    """Return the specification with the criteria added that the options ask for.
 
-    The deviation caused by shaping is always reported, with or without a limit. A product adds the
-    criteria of its fibre that the specification does not name.
+    ``shaping_deviation`` is added if the motion is shaped or smoothed, without a limit unless the
+    specification has one. A wound product adds the criteria of its fibre that the specification
+    does not name.
     """
     if options.product is not None:
-        from threadline.jobs.winding.layers import tensions_in  # of windings alone
+        from threadline.jobs.winding.layers import tensions_in  # only windings need it
         from threadline.verdict.fibre import criteria_of
 
         given = {criterion.name for criterion in spec.criteria}

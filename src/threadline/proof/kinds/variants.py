@@ -1,4 +1,4 @@
-"""Machines within the tolerances under the same commands: rejects, and runs that never end."""
+"""Judge machines within the tolerances under the same commands: rejects and endless runs."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def rejects(
     wanted_yield: float,
     random: np.random.Generator,
 ) -> tuple[Result, int]:
-    """Judge machines within the tolerances; return the criterion of rejects and the number judged.
+    """Judge machines within the tolerances; return the result ``rejects`` and the number judged.
 
     The measured value is the upper end of the exact 95 % interval (Clopper and Pearson) of the
     share of machines out of specification. A machine that cannot be simulated, or that waits
@@ -90,9 +90,10 @@ UNANSWERED = "unanswered"
 
 
 def unanswered(machines: int, why: list[str]) -> Result:
-    """Return the criterion that all of ``machines`` reach the end of the job.
+    """Return the failed result of the criterion that every machine reaches the end of the job.
 
-    The measured value is the share that does not; ``why`` gives the reason for each of those.
+    The measured value is the share of the ``machines`` that do not reach it; ``why`` has the reason
+    for each of them.
     """
     return Result(
         name=UNANSWERED,
@@ -116,9 +117,10 @@ def with_machine_hash(commands: Commands, machine: Machine) -> Commands:
 
 
 def played_by(commands: Commands, machine: Machine, actual: Machine) -> Commands:
-    """Return commands made for ``machine``, ready for ``actual`` to play.
+    """Return commands made for ``machine`` in a form that ``actual`` accepts.
 
-    Tick tables are returned unchanged: their simulation compares axes, clocks and counts.
+    Tick tables are returned unchanged: their simulation compares axes, clocks and counts instead of
+    the hash of the machine.
 
     Raises
     ------
@@ -148,6 +150,6 @@ def one_by_one(
     parts: FloatArray,
     random: np.random.Generator,
 ) -> Sequence[Recording]:
-    """Simulate machines within the tolerances one after the other; usable as ``Kind.others``."""
+    """Simulate machines within the tolerances one after the other, for ``Kind.others``."""
     machines = [variant(machine, row) for row in parts]
     return [simulate(with_machine_hash(commands, one), one, random) for one in machines]
