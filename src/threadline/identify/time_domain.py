@@ -100,7 +100,7 @@ class RecordingData:
 
     @property
     def robust(self) -> bool:
-        """Whether the fit is robust against outliers: no, the model must explain each sample."""
+        """Whether the fit discounts outliers: no, residuals are rounding or errors of the model."""
         return False
 
     @property
