@@ -116,7 +116,7 @@ class FittedNumber:
 
     @property
     def tolerance(self) -> float:
-        """Half width of the 95 % interval as a share of the value, the wider of the two kinds."""
+        """Largest distance of an end of the 95 % intervals from the value, as a share of it."""
         ends: list[float] = [*self.interval, *(self.profile or ())]
         return max(abs(float(end) / self.value - 1.0) for end in ends)
 

@@ -51,7 +51,8 @@ def read_x_winder(path: Path, *, machine: Machine, axes: str | None = None) -> J
     Parameters
     ----------
     axes
-        Letters of the program for axes of the machine, like ``"C=A,Z=X"``; None: their own.
+        Axes of the machine for letters of the program, such as ``"C=A,Z=X"`` (the program's C is
+        the machine's A); None: axes with the same letters.
 
     Raises
     ------

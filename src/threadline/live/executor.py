@@ -285,7 +285,7 @@ class Executor(AtRest):
             self._sink.state(self.tick, self.state, Cause.OVERRIDE, error.message)
 
     def override(self, percent: int) -> None:
-        """Override the feed of the run: the next refill begins the change, a hold keeps it.
+        """Override the feed of the run; the change begins with the next refill, a hold keeps it.
 
         Parameters
         ----------

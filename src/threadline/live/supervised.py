@@ -307,7 +307,7 @@ class MovedByHand(Protocol):
         """Commanded position, (axes,) in counts."""
 
     def stand(self, patience_s: float) -> None:
-        """Listen to the machine at rest for ``patience_s``, and execute commands."""
+        """Listen to the machine at rest for at most ``patience_s``, and execute commands."""
 
     def move(self, axis: str, to_counts: int) -> None:
         """Move an axis to a position."""
