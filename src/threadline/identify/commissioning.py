@@ -145,7 +145,7 @@ def trim(
     machine
         Its file or its name in the library.
     axis
-        The axis to run; None: all axes.
+        The axis to run; None: all axes with a control loop.
     link
         ``"sim"``, ``"hal:plant"`` or ``"hal:loopback"``.
     actual

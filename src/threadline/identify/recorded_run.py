@@ -1,4 +1,4 @@
-"""Commands, positions and volts of a recorded run; or the reason for which it cannot be fitted."""
+"""Commands, positions and volts of a recorded run; or the reason why it cannot be fitted."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from threadline.machine import Machine
 from threadline.machine.variants import SUPPLY_CUT, coasting
 
 CUT_AT = "cut_at_si"
-"""Key of a recording's origin with the position from which on a coast had no supply, m or rad."""
+"""Key in a recording's origin of the position, m or rad, from which on a coast had no supply."""
 _MOST_TICKS = 400_000
 _LEAST_TICKS = 20
 _MOST = 1e9  # m, rad or V
 _LEAST_MOTION = 20.0  # counts
 _ON_COUNTS = 0.02
-_FULL = 0.99  # of the clamp: less than a level of the coarsest DAC, more than a recorder rounds
+_FULL = 0.99  # clamped from this share of the clamp on: within a DAC level, beyond rounding
 _CLIPPED = 0.2  # share of samples with the controller at its clamp, from which a run is refused
 
 

@@ -168,9 +168,8 @@ class GrblRun:
         Raises
         ------
         CommandError
-            If the machine is not idle, stands elsewhere, or has not reported recently.
-        LinkFaultError
-            If the end of a line is beyond the travel.
+            If the machine is not idle, stands elsewhere or has not reported recently, or if a line
+            is too long for the controller or ends beyond the travel.
         """
         next_state(self.state, Cause.START)
         self.refuse_program(program, starts)
@@ -303,7 +302,7 @@ class GrblRun:
             self._command_s, self._last_state_words = clock_s(), ""
 
     def _brake(self) -> None:
-        """Hold the feed; once it stands, or fails to, a reset drops its remaining lines."""
+        """Hold the feed. Once the machine stands, or fails to, a reset drops all other lines."""
         self._braking = True
         most_s = 2.0 * self.controller.brakes_s + _HOLDS_S
         self._brakes_until_s = min(self._brakes_until_s, clock_s() + most_s)

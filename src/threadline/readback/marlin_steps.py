@@ -263,7 +263,7 @@ def _moves(
     column: Mapping[str, int],
     shown: Mapping[str, float],
 ) -> Iterator[str]:
-    """Yield a line for each move: places of X Y Z I, speed, whether it rests, and how long."""
+    """Yield a line for each move: position of X Y Z I, speed, whether it rests, dwell."""
     own = replace(machine, operator=None)
     path = plan_path(programmed_path(read_written(program, own, "marlin"), own), own, FIRMWARE)
     scale = np.array([shown[axis] for axis in path.axes])

@@ -14,7 +14,7 @@ from threadline.winding.surface import meridian
 MOST_PLACES = 512
 """Most places along the free fibre at which it is compared with the layers."""
 PILE = 2
-"""Number of the pair of free fibre and mandrel."""
+"""Number of the pair of free fibre and mandrel, as in ``apart.walk``."""
 _ROUNDS = 4  # most Newton steps to the foot of a normal
 _FOOT_M = 1e-7  # error of the foot of a normal; the height error grows with its square
 _TWICE = 2  # steps to the layers along the normal of the line, which is not the mandrel's
