@@ -272,7 +272,8 @@ def read_part_program(
         Rule for the meaning of F (``threadline.jobs.gcode.feeds``); None: the machine file's rule,
         else the dialect's.
     axes
-        Letters of the program for axes of the machine, like ``"C=A,Z=X"``; None: their own.
+        Axes of the machine for letters of the program, such as ``"C=A,Z=X"`` (the program's C is
+        the machine's A); None: axes with the same letters.
 
     Raises
     ------

@@ -85,7 +85,7 @@ class RunStore:
         Parameters
         ----------
         proof
-            The file names in its copy still lead to the same files.
+            Proof of the plan; the file names in its copy still lead to the same files.
         known
             Entries of the recording's origin besides the options of the plan: ``link``, and
             ``override`` if the proof did not pass.
@@ -159,9 +159,9 @@ class RunStore:
         return run
 
     def catch_up(self) -> None:
-        """Enter verdicts into the index that it missed while another program was writing.
+        """Enter the verdicts into the index that were missed while another program was writing.
 
-        If it is still locked, or a verdict cannot be read, nothing changes.
+        If the index is still locked, or a verdict cannot be read, nothing changes.
         """
         for record in self.index.runs():
             file = self.folder / record.run / VERDICT
@@ -178,7 +178,7 @@ class RunStore:
         Raises
         ------
         StoreError
-            If there is none of that name.
+            If there is no run of that name.
         """
         names = [record.run for record in self.index.runs()]
         if run == "last" and names:
