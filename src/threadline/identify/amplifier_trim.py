@@ -88,6 +88,9 @@ def trim(
         If a run would leave the travel, or reach the speed or the current limit; nothing has moved.
     LinkFaultError
         If a run ended early.
+    RecordingError
+        If the volts do not grow with the speed, positions or volts are missing, or the axis is
+        steady at fewer than four speeds.
     """
     names = list(axes) or [name for name, one in machine.axes.items() if one.controller]
     if not names:

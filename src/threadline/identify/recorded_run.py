@@ -169,7 +169,13 @@ def moves(
 def cut_as_recorded(
     recording: Recording, machine: Machine, place: Place
 ) -> tuple[Machine, int | None]:
-    """Return the machine as it was recorded, and the number of samples of a coast with supply."""
+    """Return the machine as it was recorded, and the number of samples of a coast with supply.
+
+    Raises
+    ------
+    RecordingError
+        If the recording is a coast without its axis or the position of the cut.
+    """
     if not any(one.name == SUPPLY_CUT for one in recording.channels):
         return machine, None
     cut_at, axis = recording.origin.get(CUT_AT, ""), recording.origin.get("axis", "")
@@ -189,7 +195,13 @@ def cut_as_recorded(
 
 
 def refuse_clipped(machine: Machine, axis: str, volts: FloatArray, place: Place) -> None:
-    """Refuse a run whose volts are mostly at the clamp: it says little about the loop."""
+    """Refuse a run whose volts are mostly at the clamp: it says little about the loop.
+
+    Raises
+    ------
+    RecordingError
+        If more than a fifth of the samples are at the clamp.
+    """
     dac = machine.controller_of(axis).dac
     full = dac.range.si * (1.0 - 2.0 ** (1.0 - dac.bits.si))
     share = float(np.mean(np.abs(volts) >= _FULL * full))

@@ -233,6 +233,11 @@ def moved(kept: OpenRun) -> Iterator[None]:
     """Report a failure to store a run as a fault of the machine, since it may have moved.
 
     Errors of the executor from before any motion pass unchanged.
+
+    Raises
+    ------
+    LinkFaultError
+        If the run could not be stored.
     """
     try:
         yield

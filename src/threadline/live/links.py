@@ -348,7 +348,7 @@ class RowsOperated(Executor):
         return self.far_end.channels
 
     def type_line(self, line: str) -> None:
-        """Refuse a typed line: the machine takes rows, not lines."""
+        """Refuse a typed line with a CommandError: the machine takes rows, not lines."""
         raise CommandError(
             f"the line {line[:40]!r} was not sent: this link has no console",
             remedy="Use the buttons of the panel.",

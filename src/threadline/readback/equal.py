@@ -239,8 +239,8 @@ def equal_targets(
     Raises
     ------
     InputError
-        If a given file cannot be read, or belongs to another job or machine; if no target at all
-        could be compared.
+        If a given file cannot be read, or belongs to another job or machine; an ``OptionError`` if
+        no target at all could be compared.
     """
     found = []
     with tempfile.TemporaryDirectory(prefix="threadline-equal-") as folder, _room_in(folder):

@@ -39,7 +39,7 @@ _DEEPEST = 8  # blocks in one another; a sequence has two
 
 
 def compare_schedule(target: str, scheduled: Scheduled, path: Path) -> Found:
-    """Run the program in a file beside the schedule of a plan.
+    """Run the program in a file, and compare it with the schedule of a plan.
 
     Parameters
     ----------
@@ -280,7 +280,13 @@ class OnDelay:
 
 
 class Instance:
-    """A function block, or the program, with its own variables."""
+    """A function block, or the program, with its own variables.
+
+    Raises
+    ------
+    ScanError
+        If the unit has no body, contains itself, or a variable has an unknown type.
+    """
 
     def __init__(
         self, unit: Unit, units: Mapping[str, Unit], around: tuple[Unit, ...] = ()

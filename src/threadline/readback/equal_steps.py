@@ -35,8 +35,8 @@ from threadline.readback.equal_found import (
 STEPS = 1.0
 """Steps by which a place may differ from the plan's."""
 PERIODS = 1.0
-"""Counts of an interval by which a step may come earlier or later than the law has it: periods of
-the timer, or parts of the shaft's turn where intervals are counted by angle."""
+"""Counts of an interval by which a step may come earlier or later than by the law: periods of the
+timer, or parts of the shaft's turn where intervals are counted by angle."""
 _READER = "a decoder of docs/files.md"
 _MOST = 1 << 28
 _GRID = 20_000  # finds a step within a thousandth of a count

@@ -5,8 +5,8 @@ stepper (``gcode.c``, ``motion_control.c``, ``planner.c``, ``stepper.c``, ``nuts
 compiled as they are, with a clock in place of the timer of its processor. grbl is GPL and no part
 of Threadline: it is built and run in a separate folder.
 
-Time goes on from interrupt to interrupt, ``OCR1A + 1`` cycles of 16 MHz each, as the timer of an
-ATmega328P in its mode CTC has it (data sheet, section 16.9.2).
+Time advances from interrupt to interrupt, by ``OCR1A + 1`` cycles of 16 MHz each, as in the CTC
+mode of the timer of an ATmega328P (data sheet, section 16.9.2).
 """
 
 from __future__ import annotations

@@ -81,7 +81,7 @@ class Unit:
 
 
 class Parser:
-    """Reads tokens from the first to the last."""
+    """Reads tokens from the first to the last; a wrong token raises ``ScanError``."""
 
     def __init__(self, tokens: list[Token]) -> None:
         self._tokens, self._at, self._depth = tokens, 0, 0

@@ -88,7 +88,7 @@ def _along(
     best = most
     for k in range(2):
         found = _distance(a, b, float(k), which, line, boxes, rings, most)
-        if found == -math.inf:  # deeper inside than what was asked for
+        if found == -math.inf:  # deeper inside than the limit of the search
             found = _distance(a, b, float(k), which, line, boxes, rings, math.inf)
         best = min(best, found)
     if length == 0.0:

@@ -88,7 +88,7 @@ class Witness:
         self._free_m = min(self._free_m, float(np.nanmin(fibre.free_m, initial=np.inf)))
 
     def _places(self, eyes: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return where the pay-out point is along, across and up, m, as ``eye.centre`` has it."""
+        """Return the pay-out point along, across and up, m, as ``eye.centre`` computes it."""
         sin, cos = np.sin(eyes[:, 4:6]), np.cos(eyes[:, 4:6])
         x, y, z = self._payout_m
         rolled, up = x * cos[:, 1] + z * sin[:, 1], z * cos[:, 1] - x * sin[:, 1]

@@ -236,7 +236,7 @@ def lay(  # noqa: PLR0915 - one loop over the blocks; calls would cost a third o
         (n + 1, 6) turn, along, across, up, yaw and roll at the ends of n blocks, linear between.
     group
         (n + 1,) group number of each block: the steering is averaged over consecutive blocks of a
-        group. The last entry is the group of the block behind them.
+        group. The last entry is the group of the block after them.
     tables
         Mandrel and eye.
     start

@@ -283,6 +283,8 @@ def read_part_program(
         If the program has more operations than the machine's tick budget.
     OptionError
         If there is no such dialect, or the options for F do not fit the machine.
+    MachineError
+        If an axis of the machine has the letter of another word.
     """
     path = Path(path)
     if not machine.axis_names:

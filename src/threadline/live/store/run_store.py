@@ -422,7 +422,7 @@ NOT_JUDGED = "not judged"
 
 
 def verdict_of_run(record: RunRecord, folder: Path) -> str:
-    """Return the verdict of a run in a word or two; ``folder`` is the run's."""
+    """Return the verdict of a run in a word or two; ``folder`` is the folder of the run."""
     if record.ended == REFUSED:
         return REFUSED
     if record.passed is None:
@@ -431,12 +431,12 @@ def verdict_of_run(record: RunRecord, folder: Path) -> str:
 
 
 def verdict_of_proof(record: RunRecord, folder: Path) -> str:
-    """Return the verdict of the proof that a run began with, without its level."""
+    """Return the verdict of the proof with which a run began, without its level."""
     return _word(folder / PROOF, record.proof_passed)
 
 
 def _word(file: Path, passed: bool) -> str:
-    """Return the verdict in a file in a word; if it cannot be read, the index's."""
+    """Return the verdict of a file in a word; from the index if the file cannot be read."""
     try:
         content: Mapping[str, Any] = json.loads(file.read_bytes())
         verdict = content.get("verdict", content)  # a proof has a verdict, and its level beside it
