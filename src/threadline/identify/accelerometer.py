@@ -1,4 +1,4 @@
-"""Readers of accelerometers: runs and spectra of Klipper and Kalico, CSV of phones and ADXLs."""
+"""Readers of accelerometer files: runs and spectra of Klipper and Kalico, CSV of others."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ LEAST_RATE_HZ = 20.0
 MOST_M_S2, MOST_PSD = 1e9, 1e100
 """Largest acceleration and power in any unit: beyond them numbers overflow in a fit."""
 KLIPPER_LOWEST_HZ = 5.0
-"""Start of Klipper's sweep: below it is what carries the axis to and fro."""
+"""Start of Klipper's sweep: lower frequencies come from the motion of the axis to and fro."""
 _LOWEST_HZ = 0.5
 _LEAST_SAMPLES, _LEAST_BINS = 200, 12
 _GAP = 2.5  # times the usual step
@@ -31,25 +31,25 @@ _ACCELERATION = re.compile(
     r"(?:linear[ _])?(?:a|acc|accel|acceleration|accelerometer|gf)?[ _]?([xyz])"
     r"(?:[ _]?axis)?\s*(?:[(\[]\s*([^)\]]+?)\s*[)\]])?"
 )
-_CLIPPED, _OFTEN = 12, 8.0  # samples on the extreme, and times the levels below it
+_CLIPPED, _OFTEN = 12, 8.0  # samples at the extreme, at least, and times the levels next to it
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Vibration:
-    """Acceleration at even times.
+    """Acceleration, sampled at even times.
 
     Parameters
     ----------
     rate_hz
         Samples a second.
     acceleration_m_s2
-        (n, 3): x, y, z; not scaled where the file does not say its unit.
+        (n, 3): x, y, z; values without a unit count as m/s^2, Klipper's as mm/s^2.
     place
         The file.
     lowest_hz
-        Modes are looked for from here on.
+        Lowest frequency at which modes are looked for.
     drive_power
-        Power of the frequency with which the drive grows: 2 in Klipper's sweep, 0 in a tap.
+        Exponent of the frequency in the power of the excitation: 2 in Klipper's sweep, 0 in a tap.
     """
 
     rate_hz: float
@@ -66,11 +66,11 @@ class Spectrum:
     Parameters
     ----------
     frequency_hz
-        (k,) even, increasing; each line is one bin of Welch's method.
+        (k,) evenly spaced, increasing; each line is one bin of Welch's method.
     psd
         (k, 3): x, y, z.
     normalised
-        Whether the file was divided by the frequency, as files with columns of shapers are.
+        Whether the power was divided by the frequency, as in files with columns of shapers.
     place
         The file.
     """
@@ -82,17 +82,17 @@ class Spectrum:
 
     @property
     def lowest_hz(self) -> float:
-        """Modes are looked for from here on."""
+        """Lowest frequency at which modes are looked for."""
         return KLIPPER_LOWEST_HZ
 
     @property
     def drive_power(self) -> float:
-        """Power of the frequency with which Klipper's sweep drives."""
+        """Exponent of the frequency in the power of Klipper's sweep, as the file has it."""
         return 1.0 if self.normalised else 2.0
 
     @property
     def step_hz(self) -> float:
-        """Distance of two lines: one over the length of the window."""
+        """Distance between two lines: 1 over the duration of the window."""
         f = self.frequency_hz
         return float(f[-1] - f[0]) / (len(f) - 1)
 
@@ -311,7 +311,10 @@ def _vibration(time_s: FloatArray, values: FloatArray, scale: float, first: Plac
 
 
 def _clipped(column: FloatArray) -> tuple[int, float] | None:
-    """Return how many samples are on an extreme that far more samples reach than come near it."""
+    """Return how many samples are at the end of the range, and the level of that end, or None.
+
+    At the end of the range far more samples have the extreme level than the levels next to it.
+    """
     levels, counts = np.unique(column, return_counts=True)
     if len(levels) < 12:
         return None  # at rest: a few levels of noise

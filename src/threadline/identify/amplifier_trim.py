@@ -1,10 +1,10 @@
 """Trim the gains of servo amplifiers: the same speed for the same volts on every axis.
 
-The thesis on the winder set the potentiometers of its amplifiers by hand, with a voltage typed at
-the keyboard and an eye on the speed. Here each axis runs to and fro at four constant speeds in its
+The winder thesis set the potentiometers of its amplifiers by hand: a voltage was typed at the
+keyboard and the speed was watched. Here each axis runs to and fro at four constant speeds in its
 loop. Friction and an offset of the amplifier need volts that do not depend on the speed; ``V = v/G
-+ f sign(v) + c`` separates them from the gain G. The same commands on the simulated machine of the
-file give volts that are subtracted, so that the remaining transients cancel.
++ f sign(v) + c`` separates them from the gain G. The volts of the same commands on the simulated
+machine of the file are subtracted, so that the remaining transients cancel.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ _TURN = 4.0 * np.pi  # amplitude of an endless axis, rad
 _SPEEDS = (0.15, 0.35, 0.7, 1.0)  # shares of the fastest
 _FASTEST = 0.3  # share of the speed limit
 _STRETCH_S = 0.5  # least duration of the way to one side
-_STEADY_SHARE = 0.5  # of a stretch of constant speed, its end
+_STEADY_SHARE = 0.5  # share of a stretch of constant speed that is used, at its end
 _LEAST_TICKS = 24
 _SPEEDS_AT_LEAST = 4
 
@@ -73,7 +73,7 @@ def trim(
     Parameters
     ----------
     axes
-        Names; all axes with a loop where it is empty.
+        Names of axes; empty: all axes with a control loop.
     link, actual
         See ``measure``.
     amplitude
@@ -83,11 +83,14 @@ def trim(
     Raises
     ------
     OptionError
-        If there is no such axis, it has no loop, or its volts are not seen at every tick.
+        If there is no such axis, it has no loop, or its volts are not recorded at every tick.
     LimitError
         If a run would leave the travel, or reach the speed or the current limit; nothing has moved.
     LinkFaultError
         If a run ended early.
+    RecordingError
+        If the volts do not grow with the speed, positions or volts are missing, or the axis is
+        steady at fewer than four speeds.
     """
     names = list(axes) or [name for name, one in machine.axes.items() if one.controller]
     if not names:
@@ -148,7 +151,7 @@ def _runs(machine: Machine, axis: str, amplitude: float | None) -> Experiment:
 
 
 def _steady_gain(machine: Machine, axis: str) -> float:
-    """Return counts per second and volt at rest by the linear model."""
+    """Return the steady counts per second per volt by the linear model."""
     omega = np.array([1e-6])
     return float(np.abs(axis_loop(machine, axis).axis_plant().response(omega)).ravel()[0] * 1e-6)
 

@@ -36,7 +36,7 @@ def fit(
         A file, or several: responses, recordings, ``"+OVERLAY:FILE"`` and ``"response:FILE"`` as on
         the command line.
     machine
-        Its file or its name in the library; its numbers are the first guesses.
+        Machine file, or name in the library; its numbers are the first guesses.
     numbers
         Dotted names, such as ``["bodies.x.inertia"]``.
     out
@@ -145,7 +145,7 @@ def trim(
     machine
         Its file or its name in the library.
     axis
-        Only this axis.
+        The axis to run; None: all axes with a control loop.
     link
         ``"sim"``, ``"hal:plant"`` or ``"hal:loopback"``.
     actual

@@ -1,7 +1,7 @@
-"""Robust nonlinear least squares over several starts, and how well each number is then known.
+"""Robust nonlinear least squares from several starts, and the uncertainty of each fitted number.
 
-Every number is fitted by the logarithm of its factor on the first guess, so that a number keeps its
-sign, and a step has the same meaning for a mass and for a stiffness. Residuals are grouped by their
+The fit varies the logarithm of each number's factor on the first guess. So a number keeps its sign,
+and a step has the same meaning for a mass and for a stiffness. Residuals are grouped by their
 source (a file, a channel); the noise of each source is estimated from its own residuals.
 
 Deviations are computed for an M-estimator with Huber's function (Huber and Ronchetti, *Robust
@@ -21,18 +21,18 @@ from threadline.base.arrays import FloatArray, IntArray
 from threadline.errors import OptionError
 
 Residuals = Callable[[FloatArray], FloatArray]
-"""From (variants, numbers) logarithms of factors to (variants, m) residuals."""
+"""Function from (variants, numbers) logarithms of factors to (variants, m) residuals."""
 
 START_FACTOR = 3.0
-"""Factor by which a first guess may be wrong: starts are drawn within it, both ways."""
+"""Factor by which a first guess may be too small or too large: starts are drawn within it."""
 FARTHEST_FACTOR = 20.0
 """Largest factor between a first guess and the fitted number."""
-_STARTS, _SIMULATED_STARTS = 48, 12  # a simulated run costs a hundred times a response
+_STARTS, _SIMULATED_STARTS = 48, 12  # a simulated run costs a hundred times as much as a response
 _REFINED = 3
 _HUBER = 2.0  # in deviations of the noise; 98 % as efficient as least squares for normal noise
 _ROUNDS = 3
 _OUTLIER = 4.0
-_ROUGH = 0.01  # step of a derivative from which residuals are rough
+_ROUGH = 0.01  # from this step of the derivatives on, residuals count as rough
 _WIDEST, _FINEST = 0.08, 0.002
 UNKNOWN = 0.5
 """Deviation of a logarithm from which a combination counts as unknown."""
@@ -55,7 +55,8 @@ class Problem:
     step
         Relative step of the derivatives.
     robust
-        Whether values far off may not pull the fit; False where residuals are mostly of the model.
+        Whether the fit limits the weight of outliers; False where residuals are mostly errors of
+        the model.
     """
 
     names: tuple[str, ...]
@@ -77,7 +78,7 @@ class Estimate:
     log_factor
         (p,) logarithms of the fitted factors on the first guesses.
     covariance
-        (p, p) of the logarithms.
+        (p, p) covariance of the logarithms.
     least_deviation
         (p,) Cramer-Rao bound of the deviation of each logarithm.
     jacobian
@@ -117,8 +118,8 @@ def estimate(problem: Problem, starts: int | None = None) -> Estimate:
     Parameters
     ----------
     starts
-        Number of starts tried beside the first guess, within ``START_FACTOR``; the best are
-        refined. By default 48, and 12 for recordings.
+        Number of starts to try besides the first guess, within ``START_FACTOR``; the best are
+        refined. By default 48, or 12 if the problem is not robust (recordings).
 
     Raises
     ------
@@ -128,7 +129,7 @@ def estimate(problem: Problem, starts: int | None = None) -> Estimate:
     _check_count(problem)
     usual = _STARTS if problem.robust else _SIMULATED_STARTS
     begin = _starts(problem, usual if starts is None else starts)
-    # Scaled by the smallest misfit of any start: sources have different units.
+    # Scaled by the misfit of one start: sources have different units.
     noise = _noise(problem, problem.residuals(begin[-1][None])[0])
     best, cost = begin[0], np.inf
     for start in begin:
@@ -160,13 +161,13 @@ def _check_count(problem: Problem) -> None:
 def check_range(found: Estimate) -> None:
     """Refuse numbers at the end of their range, ``FARTHEST_FACTOR`` from the first guess.
 
-    Ask for combinations that the data leaves free before: along one of them the fit may drift to
-    the end of the range, as the rounding will have it.
+    Call ``known_combinations`` first: along a combination that the data leaves free, rounding may
+    carry the fit to the end of the range.
 
     Raises
     ------
     OptionError
-        If a number ends there.
+        If a number is at the end of its range.
     """
     edge = np.log(FARTHEST_FACTOR)
     for name, value in zip(found.names, found.log_factor, strict=True):
@@ -235,8 +236,9 @@ def _refined(
 def _polished(problem: Problem, at: FloatArray) -> FloatArray:
     """Return the best numbers that a compass search finds where rounding misleads derivatives.
 
-    Every number is tried at both ends of a step, all at once; where none is better the step is
-    halved (Kolda, Lewis and Torczon, "Optimization by direct search", SIAM Review 45, 2003).
+    Each round tries every number one step up and one step down, in one call. If none is better, the
+    step is halved (Kolda, Lewis and Torczon, "Optimization by direct search", SIAM Review 45,
+    2003).
     """
     noise = _noise(problem, problem.residuals(at[None])[0])
     axes = np.concatenate((np.eye(len(at)), -np.eye(len(at))))
@@ -261,9 +263,11 @@ def jacobian(problem: Problem, at: FloatArray) -> FloatArray:
 
 
 def _noise(problem: Problem, residual: FloatArray) -> FloatArray:
-    """Return the (m,) deviations of the noise: of each source the scaled median of its residuals.
+    """Return the (m,) deviations of the noise, estimated for each source from its residuals.
 
-    A fit of p numbers makes m residuals smaller by ``sqrt(1 - p/m)``.
+    A robust problem takes the scaled median, refined by Huber's proposal 2; any other takes the
+    root mean square. Both are divided by ``sqrt(1 - p/m)``, by which a fit of p numbers shrinks m
+    residuals.
     """
     noise = np.empty(len(residual))
     shrunk = np.sqrt(1.0 - len(problem.names) / len(residual))
@@ -373,10 +377,10 @@ def _squares(share: FloatArray) -> float:
 
 
 def known_combinations(found: Estimate) -> list[FloatArray] | None:
-    """Return the exponents of the combinations that the data determines, fewest numbers first.
+    """Return the exponents of the combinations of numbers that the data determines.
 
-    None if each number is known by itself. A combination is the product of the numbers, each to
-    its exponent; the directions whose deviation exceeds ``UNKNOWN`` are removed.
+    Returns None if the data determines each number by itself. A combination is a product of the
+    numbers, each to its exponent. Directions whose deviation exceeds ``UNKNOWN`` are left out.
     """
     left, spread, rows = np.linalg.svd(found.jacobian, full_matrices=False)
     del left
@@ -402,7 +406,7 @@ def _reduced(rows: FloatArray) -> FloatArray:
 
 
 def _simple(row: FloatArray) -> FloatArray:
-    """Return exponents rounded to halves where they are within 3 % of one."""
+    """Return exponents, each rounded to a multiple of 1/2 if it is within 0.03 of one."""
     halves = np.round(2.0 * row) / 2.0
     return np.where(np.abs(row - halves) < 0.03, halves, row)
 

@@ -29,7 +29,7 @@ from threadline.machine import Machine
 from threadline.twin.simulate import simulate
 
 RESPONSE = "response"
-"""Key of a recording's origin with the measured response, as JSON."""
+"""Key in a recording's origin whose value is the measured response, as JSON."""
 _SPARE = 2.0  # an axis may coast this many times as far as its machine file says
 LINKS = ("sim", *(f"hal:{what}" for what in WHAT))
 
@@ -41,7 +41,7 @@ class Prediction:
     Parameters
     ----------
     duration_s
-        Duration.
+        Duration, s.
     lowest, highest
         Ends of the load's motion, m or rad.
     speed
@@ -59,7 +59,7 @@ class Prediction:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Measurement:
-    """A measurement.
+    """The result of an experiment.
 
     Parameters
     ----------
@@ -79,12 +79,12 @@ class Measurement:
 
 
 def check_measurement_file(file: Path) -> None:
-    """Refuse a name of a file that cannot hold a measurement, or must not be overwritten.
+    """Refuse a file name that cannot hold a measurement, or a file that must not be overwritten.
 
     Raises
     ------
     OptionError
-        If it does not end in .npz or .mcap, or as ``check_output``.
+        If the name does not end in .npz or .mcap, or ``check_output`` refuses it.
     """
     if file.suffix.lower() not in {".npz", ".mcap"}:
         raise OptionError(
@@ -109,7 +109,7 @@ def check_same_axes(machine: Machine, actual: Machine) -> None:
 
 
 def predict(machine: Machine, planned: Experiment) -> Prediction:
-    """Simulate an experiment on the machine file; refuse it outside the limits.
+    """Simulate an experiment on the machine file; refuse it if it would exceed a limit.
 
     Raises
     ------
@@ -117,7 +117,8 @@ def predict(machine: Machine, planned: Experiment) -> Prediction:
         If a sweep could not be evaluated, because a state-space controller is faster than its
         references.
     LimitError
-        If the load would leave its travel, exceed the speed of the axis, or the motor its current.
+        If the load would leave its travel or exceed the speed of the axis, or the motor would reach
+        its current limit.
     """
     own = axis_loop(machine, planned.axis)
     tick_s = float(machine.tick_clock.period_s)
@@ -140,7 +141,7 @@ def predict(machine: Machine, planned: Experiment) -> Prediction:
         speed=float(np.abs(columns[f"{axis}.velocity"]).max()),
         current_a=float(np.abs(columns[f"{axis}.current_peak"]).max()),
     )
-    # A coast measures the friction: it may be far less than the machine file says.
+    # A coast measures the friction, which may be far less than the machine file says.
     farthest = found.highest
     if planned.cut_at_si is not None:
         farthest = planned.cut_at_si + _SPARE * (found.highest - planned.cut_at_si)
@@ -199,9 +200,9 @@ def measure(
     speed: float = 0.0,
     fault: SimFault | None = None,
 ) -> Measurement:
-    """Run an experiment. ``predict`` must have passed it.
+    """Run an experiment that ``predict`` has passed.
 
-    The recording before a fault is kept; a response needs the whole run.
+    After a fault the recording up to the fault is kept; a response needs the whole run.
 
     Parameters
     ----------
@@ -217,7 +218,7 @@ def measure(
     Raises
     ------
     OptionError
-        If there is no such link.
+        If there is no such link, or an option does not apply to it.
     LinkFaultError
         If the machine does not answer.
     RecordingError
@@ -295,9 +296,9 @@ def evaluate(machine: Machine, planned: Experiment, recording: Recording) -> Mea
     ``(1 - exp(-j w T)) / (j w T)``, which is divided out; aliased components remain.
 
     If a controller runs faster than its references (``stitcher``), its volts are recorded at some
-    ticks only, the same ones after each new reference. The volts are then computed from the error
-    instead, by its own difference equation; its references are held as well. The rounding of its
-    DAC is then noise.
+    of its ticks only, the same ones after each new reference. The volts are then computed from the
+    error, by the controller's own difference equation and with the references held, too. The
+    rounding of its DAC then counts as noise.
     """
     axis = planned.axis
     columns = {name.partition(" ")[0]: v for name, v in columns_of(recording).items()}
@@ -306,7 +307,7 @@ def evaluate(machine: Machine, planned: Experiment, recording: Recording) -> Mea
     tick_s = float(machine.tick_clock.period_s)
     own = axis_loop(machine, axis)
     held = own.period_s == tick_s
-    if held:  # the volts of a sample act before it
+    if held:  # the volts that act from a sample on are recorded with the next sample
         volts = np.append(volts[1:], volts[-1])
     periods = (len(position) - planned.first) // planned.period
     periods = min(periods, (planned.commands.tick_count() // planned.period) - 2)
@@ -368,7 +369,7 @@ def response_of(origin: Mapping[str, str], place: Place | None = None) -> Measur
     Raises
     ------
     RecordingError
-        If it is damaged, or as ``check_response``.
+        If the response is damaged, or ``check_response`` refuses it.
     """
     if RESPONSE not in origin:
         return None

@@ -1,8 +1,8 @@
 """Residuals of measured frequency responses: logarithms of measured over modelled response.
 
 The real part is the logarithm of the ratio of magnitudes, the imaginary part the difference of
-phases in rad, so an error of 2 % in both is one circle of radius 0.02. A response without a unit
-has a free gain: the mean of its real parts is removed.
+phases in rad, so that 2 % of magnitude weigh as much as 0.02 rad of phase. A response without a
+unit has a free gain: the mean of its real parts is removed.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from threadline.machine import Machine
 
 _UNLIKELY = 4.0  # deviations
 _ROUNDING = 1e-9
-_SURE = 0.9999  # coherence above which a point weighs no more
+_SURE = 0.9999  # coherence above which the weight of a point does not grow
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -72,7 +72,7 @@ class ResponseData:
 
     @property
     def name(self) -> str:
-        """Name of its file."""
+        """Name of the file; without a file, the output."""
         return str(self.measured.place) if self.measured.place else self.path.output
 
     @property
@@ -126,7 +126,7 @@ class ResponseData:
         return np.concatenate((size * self.weight, apart.imag * self.weight), axis=1)
 
     def left_over(self, residual: FloatArray, noise: FloatArray) -> list[str]:
-        """Return in words where the fitted response leaves more than its noise.
+        """Describe where the residuals of the fitted response exceed their noise.
 
         The mean of seven neighbouring residuals, of magnitude or phase, is compared with four times
         the deviation of such a mean.

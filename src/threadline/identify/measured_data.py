@@ -68,7 +68,7 @@ def read_data(file: str, machine: Machine, axis: str = "") -> Data:
 
 
 def _response_in(path: Path, machine: Machine) -> MeasuredResponse:
-    """Return the response that a measured sweep has beside its raw run."""
+    """Return the response that is stored with the raw run of a measured sweep."""
     recording, place = read_recording(path), Place(str(path))
     found = response_of(recording.origin, place)
     if found is None:

@@ -22,7 +22,7 @@ LEAST_COHERENCE = 0.8
 OUTPUTS = tuple(
     f"{base}{rate}" for base in ("rad", "m", "count", "V") for rate in ("", "/s", "/s^2")
 )
-"""Units of an output; a response is a multiple of one of them for each volt."""
+"""Units of an output; a response has one of these units per volt."""
 _MAGNITUDES, _FREQUENCIES_HZ = (1e-100, 1e100), (1e-6, 1e9)
 MOTOR = "motor"
 """Output of a response: the body that the axis' encoder reads."""
@@ -41,8 +41,8 @@ class MeasuredResponse:
     coherence
         (k,) in 0 to 1; None if it was not measured.
     unit
-        SI unit of the response per volt, such as ``"rad/s"``; empty if the magnitude has any
-        reference and only its shape is known.
+        SI unit of the output, such as ``"rad/s"``, for a response per volt; empty if the magnitude
+        has an unknown reference, so that only its shape is known.
     axis, output
         The axis, and the measured output: ``"sensors.x_pot"``, ``"X.load"``, ``"motor"``; empty if
         the file does not say.
@@ -60,7 +60,7 @@ class MeasuredResponse:
 
     @property
     def absolute(self) -> bool:
-        """Whether the magnitude is in a unit."""
+        """Whether the magnitude has a unit."""
         return bool(self.unit)
 
     @property
@@ -100,7 +100,7 @@ class MeasuredResponse:
 
 
 def check_response(measured: MeasuredResponse) -> None:
-    """Refuse a response whose points no model can be compared with.
+    """Refuse a response whose points cannot be compared with a model.
 
     Raises
     ------
@@ -134,7 +134,7 @@ _RATES = {"": 0, "/s": 1, "/s^2": 2}
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Path:
-    """The model's path that a measured response is compared with.
+    """The path of the linear model that is compared with a measured response.
 
     Parameters
     ----------
@@ -153,7 +153,7 @@ class Path:
 
 
 def path_of(machine: Machine, measured: MeasuredResponse, axis: str = "") -> Path:
-    """Return the path of a machine's linear model that a response was measured on.
+    """Return the path of a machine's linear model along which a response was measured.
 
     Parameters
     ----------
@@ -216,7 +216,7 @@ def _axis(machine: Machine, measured: MeasuredResponse, axis: str) -> str:
 
 
 def _unit(measured: MeasuredResponse) -> tuple[str, int]:
-    """Return the unit without its rates, and the number of rates; a relative one is a speed."""
+    """Return the unit without its rates, and their number; a relative response is a speed."""
     if not measured.absolute:
         return "", 1
     for rate in ("/s^2", "/s"):
@@ -277,7 +277,7 @@ def usable(measured: MeasuredResponse) -> tuple[NDArray[np.bool_], int]:
     Raises
     ------
     RecordingError
-        If more than half of them have too little.
+        If more than half of the points have too little.
     """
     if measured.coherence is None:
         return np.ones(len(measured.value), dtype=np.bool_), 0

@@ -1,15 +1,16 @@
 """The mode that an accelerometer saw: frequency and damping with intervals, from power alone.
 
-A sweep or a tap says how strong a vibration was at each frequency and not how it followed the
-command, so this gives modes and no response. The power near a mode is ``C f^p |H + c|^2 + N`` with
+The spectrum of a sweep or a tap gives the strength of a vibration at each frequency, and not its
+phase to the command, so it shows modes and is no response. The power near a mode is ``C f^p |H +
+c|^2 + N`` with
 
     H = 1 / (1 - r^2 + 2 i zeta r),    r = f / f_n
 
 where ``p`` depends on the excitation (Klipper's sweep: 2, a tap: 0), and ``c`` is the part of other
-modes and of another excitation. Intervals hold for residuals of uneven size that are correlated
-over neighbouring lines: White's covariance with Newey and West's weights (1987), "A simple,
-positive semi-definite, heteroskedasticity and autocorrelation consistent covariance matrix",
-Econometrica 55(3).
+modes and of another excitation. The intervals allow for residuals of uneven size that are
+correlated over neighbouring lines: White's covariance with Newey and West's weights (1987), "A
+simple, positive semi-definite, heteroskedasticity and autocorrelation consistent covariance
+matrix", Econometrica 55(3).
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ from threadline.motion.shaping import FlexibleMode
 KAISER = 6.0
 """Beta of the window of Klipper's spectra."""
 WINDOW_S = 0.5
-"""Their windows have the next power of 2 of samples above this."""
+"""Duration in s; Klipper's windows have the next power of 2 of samples above it."""
 MOST_HZ = 200.0
 _BINS = 60
 _LAGS = 3
@@ -38,9 +39,10 @@ _WIDE, _WIDTHS = (
     (4.0, 2.5),
 )  # of the lines fitted to either side, in halves of the mode's width
 _USUAL = 1e-20, 1e20
-"""Range of the greatest power of a line, beyond which all powers are divided by it."""
-_REST = 0.4  # of the width of the window: a narrower mode looks like the window itself
-_SEEN = 4.0  # power of a peak over the median around it
+"""Usual range of the greatest power of a line; outside it all powers are divided by the
+greatest."""
+_REST = 0.4  # share of the window's width; a narrower mode looks like the window itself
+_SEEN = 4.0  # least power of a peak over the median of all lines
 _OTHERS = 1.0 / 20.0  # Klipper ignores power below this share of the peak
 _UNKNOWN = 0.35  # half width of the damping over its value, beyond which it is refused
 _FINE = 24  # points of the model to a line of a spectrum
@@ -80,12 +82,12 @@ class MeasuredMode:
     frequency_hz
         Undamped natural frequency.
     damping_ratio
-        Its interval has no half width where the damping was given and not measured.
+        Damping ratio; its half width is 0 if the damping was given and not measured.
     shares
         Power of x, y and z around the mode, as shares of their sum.
     others
-        (Hz, height over the mode's) of other peaks of the axis, the highest first; both of the
-        power divided by the frequency.
+        Other peaks of the axis, the highest first: frequency in Hz, and height as a share of the
+        mode's height, both heights of the power divided by the frequency.
     lines_hz, power, fitted
         (k,) lines, their power and its fit, for pictures.
     """
@@ -106,7 +108,7 @@ class MeasuredMode:
 
 
 def klipper_spectrum(run: Vibration) -> Spectrum:
-    """Return the spectrum that Klipper makes of a run: Welch's method, Kaiser windows, half over.
+    """Return Klipper's spectrum of a run: Welch's method with Kaiser windows that overlap by half.
 
     Raises
     ------
@@ -141,7 +143,7 @@ def measured_mode(
     axis
         The axis that was shaken; None: the axis with the highest peak.
     damping
-        Damping ratio, where it is known otherwise; None: fitted.
+        Damping ratio, if it is known from elsewhere; None: it is fitted.
 
     Raises
     ------
@@ -193,7 +195,7 @@ def measured_mode(
 
 
 def _lines(data: Vibration | Spectrum) -> tuple[FloatArray, FloatArray]:
-    """Return (k,) frequencies and (k, 3) power of all of a run at once, or of a spectrum."""
+    """Return (k,) frequencies and (k, 3) power of a whole run, or of a spectrum."""
     if isinstance(data, Spectrum):
         f = data.frequency_hz[0] + data.step_hz * np.arange(len(data.frequency_hz))
         keep = f > 0.0
@@ -210,7 +212,7 @@ def _lines(data: Vibration | Spectrum) -> tuple[FloatArray, FloatArray]:
 
 
 def _coarse(f: FloatArray, power: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return means over bins of 1 % of the middle, for finding peaks."""
+    """Return means over at most 400 bins of lines, for finding peaks."""
     count = min(len(f), 400)
     if len(f) <= 400:
         return f, power
@@ -320,7 +322,7 @@ def _least_squares(
     starts: tuple[float, ...],
     damping: float | None,
 ) -> _Fit:
-    """Fit the logarithm of the power: a robust loss, and the covariance of the residuals.
+    """Fit the logarithm of the power with a robust loss; ``_covariance`` gives the intervals.
 
     ``starts`` are the frequency and the damping ratios from which the fit begins.
     """
@@ -396,10 +398,10 @@ def _covariance(jacobian: FloatArray, left: FloatArray) -> FloatArray:
 def _seen_through(
     data: Vibration | Spectrum, lines: FloatArray
 ) -> Callable[[Callable[[FloatArray], FloatArray]], FloatArray]:
-    """Return what turns a model of the true power into one of the lines.
+    """Return a function from a model of the true power to the modelled power of the lines.
 
-    A line of a spectrum is the mean over its window's lobe; the lines of a whole run are as fine as
-    can be.
+    A line of a spectrum is the mean of the power over its window's lobe; a line of a whole run is
+    the power at its frequency.
     """
     if isinstance(data, Vibration):
         return lambda power: power(lines)

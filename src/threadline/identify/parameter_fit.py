@@ -59,7 +59,7 @@ class Data(Protocol):
 
     @property
     def step(self) -> float:
-        """Relative step of a number at which residuals change smoothly."""
+        """Relative step of a number over which residuals change smoothly."""
 
     @property
     def robust(self) -> bool:
@@ -75,13 +75,13 @@ class Data(Protocol):
 
     @property
     def normalised(self) -> bool:
-        """Whether the size of its response is unknown."""
+        """Whether the absolute magnitude of the response is unknown."""
 
     def residuals(self, numbers: Mapping[str, FloatArray]) -> FloatArray:
         """Return the (variants, m) residuals of numbers, dotted name to (variants,) SI values."""
 
     def left_over(self, residual: FloatArray, noise: FloatArray) -> list[str]:
-        """Return in words where (m,) residuals exceed their noise."""
+        """Describe each place where the (m,) residuals exceed their noise."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -101,7 +101,7 @@ class FittedNumber:
     least_deviation
         Smallest relative deviation of any unbiased fit to this data: the Cramer-Rao bound.
     interval
-        Ends of the 95 % interval, SI: from the curvature.
+        Ends of the 95 % interval, SI, from the curvature of the sum of squares.
     profile
         Ends of the 95 % interval from the likelihood profile; None if it was not computed.
     """
@@ -116,7 +116,7 @@ class FittedNumber:
 
     @property
     def tolerance(self) -> float:
-        """Half width of the 95 % interval as a share of the value, the wider of the two kinds."""
+        """Largest distance of an end of the 95 % intervals from the value, as a share of it."""
         ends: list[float] = [*self.interval, *(self.profile or ())]
         return max(abs(float(end) / self.value - 1.0) for end in ends)
 
@@ -132,7 +132,7 @@ class Fit:
     fitted
         The same machine with the fitted numbers.
     numbers
-        In the order in which they were asked for.
+        The fitted numbers, in the order in which they were asked for.
     estimate
         The estimate behind them, with covariance, residuals and noise.
     noise
@@ -163,12 +163,12 @@ def fit(
 ) -> Fit:
     """Fit numbers of a machine to data.
 
-    The fit starts at the machine's numbers, and within a factor of 3 around them.
+    One start is the machine's own numbers; the other starts lie within a factor of 3 of them.
 
     Parameters
     ----------
     data
-        At least one.
+        At least one set of measured data.
     names
         Dotted names of the numbers, such as ``"links.x_belt.stiffness"``.
     starts
@@ -190,7 +190,8 @@ def fit(
     numbers = []
     for k, name in enumerate(names):
         spread = _SURE * found.deviation[k]
-        # Rounding makes recordings rough in the numbers, and a profile would follow the roughness.
+        # With rounding, the residuals of recordings are rough functions of the numbers, and a
+        # profile would follow the roughness.
         ends = profile(problem, found, k) if k in worst and problem.robust else None
         numbers.append(
             FittedNumber(
@@ -329,7 +330,7 @@ def _left_over(data: Sequence[Data], found: Estimate) -> tuple[dict[str, float],
 
 
 def parse_numbers(text: str, machine: Machine) -> list[str]:
-    """Return the dotted names in a list with commas.
+    """Return the dotted names in a comma-separated list.
 
     Raises
     ------
@@ -373,7 +374,7 @@ def base_lines(machine: Machine, folder: Path) -> list[str]:
 
 
 def fitted_toml(result: Fit, source: str, folder: Path) -> str:
-    """Return the fitted machine as text of its file, to lie in ``folder``."""
+    """Return the text of the fitted machine's file, which is to lie in ``folder``."""
     machine = result.machine
     note = ascii_only(source)
     lines = [

@@ -27,7 +27,7 @@ _SWEEP_SPEED, _SWEEP_ACCELERATION = 0.9, 0.7
 _CONSTANT_SPEEDS = (0.0625, 0.125, 0.25, 0.5)  # shares of the limit
 _PAUSE_S = 0.4
 _COAST_SPEED, _COAST_TRAVEL = 0.5, 0.25  # shares of the limits of the axis
-_CRUISE_S, _COASTED = 0.4, 0.005  # constant speed before the cut; share of it that is rest
+_CRUISE_S, _COASTED = 0.4, 0.005  # constant speed before the cut; share of it that counts as rest
 _LONGEST_COAST_S = 60.0
 _MOST_TICKS = 300_000
 
@@ -82,8 +82,8 @@ def experiment(
         One of ``EXPERIMENTS``.
     amplitude
         Largest deviation from the start, m or rad; by default a twentieth of the travel, of an
-        endless axis a twentieth of a turn. A coast: where it ends by the machine file, by default
-        within a quarter of the travel.
+        endless axis a twentieth of a turn. For a coast: distance from the start within which it
+        ends, by the machine file; by default a quarter of the travel.
     band_hz
         Lowest and highest frequency of a sweep; by default 0.5 to 60 Hz, at most a tenth of the
         rate of the ticks.
@@ -138,7 +138,7 @@ def parse_band(text: str) -> tuple[float, float]:
     Raises
     ------
     OptionError
-        If there are not two.
+        If the text is not two frequencies.
     """
     parts = [part.strip() for part in text.split(",")]
     if len(parts) != 2:
@@ -178,7 +178,7 @@ def _harmonics(band_hz: tuple[float, float] | None, tick_s: float) -> tuple[IntA
 def _multisine(
     machine: Machine, axis: str, lines: IntArray, period: int, size: float
 ) -> FloatArray:
-    """Return positions of a multisine of even speeds that begins and ends at rest.
+    """Return positions of a multisine with equal speeds of all lines, from rest to rest.
 
     The phases are Schroeder's ("Synthesis of low-peak-factor signals", IEEE Trans. Information
     Theory 16, 1970). The first and the last period fade in and out.
@@ -327,5 +327,5 @@ def _table(machine: Machine, axis: str, counts: IntArray) -> TickTable:
 
 
 def duration_s(commands: TickTable) -> Fraction:
-    """Return the duration of commands."""
+    """Return the duration of commands, s."""
     return commands.tick_count() * commands.clock.period_s

@@ -72,8 +72,8 @@ def read_response(path: Path) -> MeasuredResponse:
 
     The columns are ``frequency_hz``, ``magnitude_db`` and ``phase_deg``, in any order; or
     ``frequency [rad/s]``, ``magnitude [rad/s/V]``, ``magnitude_db [count/V]``, ``phase [rad]`` with
-    their units, and ``coherence``. A magnitude without a unit has any reference. Lines
-    ``# axis: X`` and ``# output: sensors.x_pot`` above the table name the measured output.
+    their units, and ``coherence``. A magnitude without a unit has an unknown reference. Lines ``#
+    axis: X`` and ``# output: sensors.x_pot`` above the table name the measured output.
 
     Raises
     ------
@@ -168,7 +168,7 @@ def _columns(header: list[str], place: Place) -> _Columns:
 
 
 def _output_unit(text: str, place: Place) -> tuple[str, float]:
-    """Return the SI unit of an output per volt, and the factor of ``text`` on it."""
+    """Return the SI unit of an output per volt, and the factor from ``text`` to it."""
     unit = text.removesuffix("/V").strip()
     for si in OUTPUTS if text.endswith("/V") else ():
         if same_dimension(unit, si):

@@ -1,4 +1,4 @@
-"""Commands, positions and volts of a recorded run; or the reason for which it cannot be fitted."""
+"""Commands, positions and volts of a recorded run; or the reason why it cannot be fitted."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from threadline.machine import Machine
 from threadline.machine.variants import SUPPLY_CUT, coasting
 
 CUT_AT = "cut_at_si"
-"""Key of a recording's origin with the position from which on a coast had no supply, m or rad."""
+"""Key in a recording's origin of the position, m or rad, from which on a coast had no supply."""
 _MOST_TICKS = 400_000
 _LEAST_TICKS = 20
 _MOST = 1e9  # m, rad or V
 _LEAST_MOTION = 20.0  # counts
 _ON_COUNTS = 0.02
-_FULL = 0.99  # of the clamp: less than a level of the coarsest DAC, more than a recorder rounds
+_FULL = 0.99  # clamped from this share of the clamp on: within a DAC level, beyond rounding
 _CLIPPED = 0.2  # share of samples with the controller at its clamp, from which a run is refused
 
 
@@ -169,7 +169,13 @@ def moves(
 def cut_as_recorded(
     recording: Recording, machine: Machine, place: Place
 ) -> tuple[Machine, int | None]:
-    """Return the machine as it was recorded, and the number of samples of a coast with supply."""
+    """Return the machine as it was recorded, and the number of samples of a coast with supply.
+
+    Raises
+    ------
+    RecordingError
+        If the recording is a coast without its axis or the position of the cut.
+    """
     if not any(one.name == SUPPLY_CUT for one in recording.channels):
         return machine, None
     cut_at, axis = recording.origin.get(CUT_AT, ""), recording.origin.get("axis", "")
@@ -189,7 +195,13 @@ def cut_as_recorded(
 
 
 def refuse_clipped(machine: Machine, axis: str, volts: FloatArray, place: Place) -> None:
-    """Refuse a run whose volts are mostly at the clamp: it says little about the loop."""
+    """Refuse a run whose volts are mostly at the clamp: it says little about the loop.
+
+    Raises
+    ------
+    RecordingError
+        If more than a fifth of the samples are at the clamp.
+    """
     dac = machine.controller_of(axis).dac
     full = dac.range.si * (1.0 - 2.0 ** (1.0 - dac.bits.si))
     share = float(np.mean(np.abs(volts) >= _FULL * full))

@@ -3,13 +3,13 @@
 A sample is taken before the controller acts on it (``Recording``), so the volts of sample k + 1 act
 from tick k on.
 
-*Driven by its volts.* Where the volts of every tick of a controller were recorded, the recorded
-volts drive the plant, without the loop. What is left over is the rounding of the encoder alone.
+*Driven by volts.* Where the volts of every tick of a controller were recorded, they drive the
+simulated plant, without the loop. The residuals are then the rounding of the encoder alone.
 
-*Driven by its commands.* A controller with a faster clock than its references (``stitcher``) has
-volts between the samples. Then the whole loop is simulated under the recorded commands, with every
-quantiser, and the positions are compared. Where an encoder stands between two counts is not
-recorded; the model is the mean over several places.
+*Driven by commands.* A controller with a faster clock than its references (``stitcher``) changes
+its volts between the samples. Then the whole loop is simulated under the recorded commands, with
+every quantiser, and the positions are compared. The recording does not tell where between two
+counts an encoder stands, so the model is the mean over several such places.
 
 Both simulations have the dead times, friction, play and limits of the machine file.
 """
@@ -55,17 +55,17 @@ class RecordingData:
     machine
         The machine that ran.
     simulated
-        The machine that is simulated: the same, or with volts as its commands.
+        The machine that is simulated: the same, or one whose commands are volts.
     commands
         Commands of the simulated machine, tick by tick.
     measured
         Per channel of the simulated machine: (n,) measured positions, in counts.
     used
-        (n,) samples in motion: an axis at rest says nothing.
+        (n,) whether a sample is used: an axis at rest carries no information.
     scale
         Per channel: counts per unit of the simulated samples.
     place
-        The file.
+        The file of the recording.
     by_volts
         Whether recorded volts drive the simulation.
     """
@@ -86,9 +86,9 @@ class RecordingData:
 
     @property
     def step(self) -> float:
-        """Relative step of a derivative: large where counts or levels make the model rough.
+        """Relative step of a numerical derivative, larger where quantisation makes the model rough.
 
-        A body breaks away at the level of the volts that first exceeds its stiction.
+        Stiction makes it rough, too: a body breaks away at the first level of the volts above it.
         """
         sticks = any(body.friction is not None for body in self.machine.bodies.values())
         return 1e-3 if self.by_volts and not sticks else 0.03
@@ -100,12 +100,12 @@ class RecordingData:
 
     @property
     def robust(self) -> bool:
-        """No: the residuals are rounding, or effects that the model lacks."""
+        """Whether the fit discounts outliers: no, residuals are rounding or errors of the model."""
         return False
 
     @property
     def normalised(self) -> bool:
-        """Never: positions and volts are absolute."""
+        """Whether all magnitudes share an unknown factor: no, positions and volts are absolute."""
         return False
 
     @property
@@ -142,7 +142,7 @@ class RecordingData:
                 watch_current=False,
             )
         except MachineError:
-            # A variant without a bound; the caller takes it as infinitely wrong.
+            # A variant cannot be simulated: find it; the caller takes NaN as infinitely wrong.
             if count == 1:
                 return np.full((1, len(self.measured) * self.length), np.nan)
             parts = [
@@ -156,15 +156,15 @@ class RecordingData:
             mean = simulated.reshape(self.length, count, places).mean(axis=2)
             apart = wanted[self.used] - mean.T
             if self.by_volts:
-                # Where the encoder stood between two counts at the start is free.
+                # The place between two counts at the start is unknown: the mean is removed.
                 apart -= apart.mean(axis=1, keepdims=True)
             parts.append(apart)
         return np.concatenate(parts, axis=1)
 
     def left_over(self, residual: FloatArray, noise: FloatArray) -> list[str]:
-        """Return in words when the recording differs from the fit by more than its noise.
+        """Describe where the recording differs from the fit by more than its noise allows.
 
-        The mean over a fortieth of the run is compared with six times the noise.
+        The mean over each fortieth of the run is compared with six times the noise of a sample.
 
         Parameters
         ----------
@@ -189,24 +189,27 @@ class RecordingData:
 def recording_data(
     recording: Recording, machine: Machine, path: Path, axis: str = ""
 ) -> RecordingData:
-    """Return a recording as data of a fit.
+    """Return a recording as data for a fit.
 
     Parameters
     ----------
     machine
         The machine that ran, or one with the same parts.
     path
-        Its file.
+        File of the recording.
     axis
-        Only this axis; all axes that moved where it is empty.
+        Axis to use; empty: all axes that moved.
 
     Raises
     ------
     RecordingError
         If commands or measured positions are missing, have gaps or another tick than the machine,
-        nothing moves, or the controller was at its clamp for a fifth of the run.
+        it has several runs, nothing moves, or the controller was at its clamp for a fifth of the
+        run.
     OptionError
-        If there is no such axis, or the machine takes no commands in ticks.
+        If there is no such axis, or an axis of the machine has no controller.
+    MachineError
+        If a state-space controller moves several axes together, and volts drive the simulation.
     """
     place = Place(str(path))
     if not machine.axes or not all(one.controller for one in machine.axes.values()):
@@ -238,7 +241,7 @@ def recording_data(
         if (volts := columns.get((ChannelKind.VOLTAGE, name))) is not None:
             refuse_clipped(machine, name, volts[:powered], place)
     by_volts = all(_volts_of_each_tick(columns, name, machine) for name in chosen)
-    # In the loop the volts follow from the positions, with more rounding: they say nothing new.
+    # In the loop the volts follow from the positions, with more rounding, and add no information.
     ending = "load" if by_volts else "measured"
     scale = {f"{name}.{ending}": machine.axes[name].counts.si for name in chosen}
     measured = {

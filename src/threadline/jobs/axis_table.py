@@ -65,7 +65,7 @@ def is_axis_table(path: Path) -> bool:
 
 
 def _columns(text: str) -> list[tuple[str, str]]:
-    """Return name (capital letters) and unit of every column; the name of no column is empty."""
+    """Return name (capital letters) and unit of every column; a name may be empty."""
     for line in text.splitlines():
         if line.strip() and not line.lstrip().startswith("#"):
             found = []
@@ -90,9 +90,9 @@ class AxisTable:
     position
         (n, axes) positions in m or rad.
     feeds
-        Feed of each row but the first, one object for equal feeds.
+        Feed of each row but the first; rows with equal feeds share one object.
     duration_s
-        (n - 1,) times between rows; empty in a table with feeds.
+        (n - 1,) times between rows, s; empty in a table with feeds.
     tags
         Name and (n,) values of every other column.
     """
@@ -152,12 +152,13 @@ def read_axis_table(
     feed_mode, base_axes
         Rule for the meaning of the column F; None: the machine file's rule, else its dialect's.
     axes
-        Letters of the table for axes of the machine, like ``"C=A,Z=X"``; None: their own.
+        Axes of the machine for letters of the table, such as ``"C=A,Z=X"`` (the table's C is the
+        machine's A); None: axes with the same letters.
 
     Raises
     ------
     JobError
-        If it is no such table, or names an axis that the machine lacks; names the line.
+        If it is no such table, or names an axis that the machine lacks; the error names the line.
     BudgetError
         If it has more rows than the machine's tick budget.
     OptionError

@@ -19,7 +19,7 @@ _IN_TURN = ("XYZ", "UVW", "ABC")
 
 
 def dwells_s(job: Job) -> float:
-    """Return the time that a job dwells (G4), in all."""
+    """Return the total time that a job dwells (G4), s."""
     return sum(item.duration_s for item in job.runs() if isinstance(item, Dwell))
 
 

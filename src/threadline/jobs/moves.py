@@ -163,7 +163,7 @@ class _Reader:
         return found
 
     def _check_first(self, rows: list[dict[str, Any]], index: int) -> None:
-        """Refuse a first-cycle operation that moves, stands behind others, or before no wait."""
+        """Refuse a first-cycle operation that moves, follows others, or has no wait after it."""
         if "move" in rows[index]:
             self.refuse(f"a move belongs to every cycle, it has no {FIRST}", index, FIRST)
         if index and FIRST not in rows[index - 1]:

@@ -47,9 +47,9 @@ class FeedMode(StrEnum):
 class Feed:
     """The wanted speed of a move: ``value`` in the SI unit of ``mode``.
 
-    ``base_axes`` names the axes whose displacement counts in mode ``BASE_AXES``. ``most`` is the
-    highest value for a timing by limits; None: ``value``. ``travel`` says that the move is a G0 at
-    the feed; some firmwares run such a move with the tool off.
+    ``base_axes`` names the axes whose displacement counts in mode ``BASE_AXES``. ``most`` replaces
+    ``value`` in a timing by the machine's limits; None: ``value`` applies. ``travel`` says that the
+    move is a G0 at the feed; some firmwares run such a move with the tool off.
     """
 
     mode: FeedMode
@@ -97,8 +97,8 @@ class ToolEvent:
     """An action of the tool, ``name``, with its ``value`` (trim, thread, tension, power).
 
     ``words`` are the words of a part program that request the action, empty for other jobs.
-    ``beside`` says that these words stand in the same block as their move. ``limits`` are those
-    that the words set for all moves behind them.
+    ``beside`` says that these words stand in the same block as their move. ``limits`` are the
+    limits of velocity or acceleration that the words set for all later moves.
     """
 
     name: str
@@ -132,7 +132,7 @@ class Thread:
 class Move:
     """Travel of all axes together to ``target``, (axes,) positions in m or rad.
 
-    ``acts`` happen at the start of the move, without a rest before the move.
+    The events ``acts`` happen at the start of the move; the axes do not stop for them.
     """
 
     target: tuple[float, ...]
@@ -246,7 +246,7 @@ class Dwell:
 
 @dataclass(frozen=True, slots=True)
 class SetOutput:
-    """A switch of the output ``name`` to ``value`` after the motion before it has ended."""
+    """A switch of the output ``name`` to ``value`` once the preceding motion has ended."""
 
     name: str
     value: float
@@ -257,7 +257,7 @@ class SetOutput:
 class WaitInput:
     """A wait until the input ``name`` is ``value``; after ``timeout_s`` the wait is a fault.
 
-    With ``creep`` a cylinder that stopped short of its end switch creeps to it meanwhile.
+    With ``creep``, a cylinder that stopped short of its end switch creeps to it during the wait.
     """
 
     name: str
@@ -277,7 +277,7 @@ class Home:
 
 @dataclass(frozen=True, slots=True)
 class Stop:
-    """A rest until the operator resumes; ``final`` ends the job.
+    """A stop until the operator resumes; with ``final`` it ends the job.
 
     ``words`` has the meaning of ``ToolEvent.words``: a tool change is a stop, too.
     """
@@ -293,7 +293,7 @@ Operation: TypeAlias = Move | Dwell | SetOutput | WaitInput | Home | Stop | Tool
 
 
 class KeptOperations(KeptStream[Any]):
-    """Operations and runs that are read many times: a short job is read once and kept."""
+    """Operations and runs of moves that can be read many times; a short job is kept in memory."""
 
     MOST_KEPT = 1 << 15
 
@@ -316,8 +316,8 @@ class OperationStream(Stream[Operation]):
     runs
         Operations and runs of moves.
     folded
-        Operations and runs with each repeated pass given once. Each item has its number of times
-        and the line of the call that repeats the item (0 without a call). None: nothing repeats.
+        ``(item, times, line)``, in which a repeated pass appears once: how often the item is
+        executed, and the line of the call that repeats it (0: no call). None: nothing repeats.
     """
 
     __slots__ = ("_folded", "_runs")
@@ -332,13 +332,13 @@ class OperationStream(Stream[Operation]):
         self._folded = folded
 
     def folded(self) -> Iterator[tuple[Operation | MoveRun, int, int]]:
-        """Return a new reading with each repeated pass given once."""
+        """Return a new iterator in which each repeated pass appears once."""
         if self._folded is not None:
             return iter(self._folded)
         return ((item, 1, 0) for item in self._runs)
 
     def runs(self) -> Iterator[Operation | MoveRun]:
-        """Return a new reading with moves in runs."""
+        """Return a new iterator that yields moves in runs."""
         return iter(self._runs)
 
 
@@ -384,10 +384,10 @@ class Job:
         The quantity that sets the speed of the job: ``feed``, ``needle`` (stitches per second),
         ``switchings``, or ``shaft`` (one stitch per turn of the machine's main shaft).
     needle_follows
-        Whether the needle turns with the path length of the head: the needle is geared to the final
-        motion of the head, with smoothing.
+        Whether the needle is geared to the path length of the head, in the head's final motion
+        after smoothing.
     along_m_s2
-        Largest acceleration along the path, m/s^2, from the limit of a needle that follows.
+        Largest acceleration along the path, m/s^2, that a geared needle allows.
     home
         Homing order of the cylinders; empty if the moves of the list decide the order.
     once
@@ -422,7 +422,7 @@ class Job:
         return iter(self.operations)
 
     def suspicions(self, *, own_feed: bool) -> tuple[str, ...]:
-        """Return the warnings; ``own_feed`` (no other feed is given) adds those on capped feeds."""
+        """Return the warnings; ``own_feed`` (no other feed is given) adds ``capped``."""
         return (*self.capped, *self.warnings) if own_feed else self.warnings
 
     def runs(self) -> Iterator[Operation | MoveRun]:
@@ -432,7 +432,7 @@ class Job:
         return iter(self.operations)
 
     def folded(self) -> Iterator[tuple[Operation | MoveRun, int, int]]:
-        """Return the operations with each repeated pass given once; see ``OperationStream``."""
+        """Return the operations with each repeated pass once; see ``OperationStream``."""
         if isinstance(self.operations, OperationStream):
             return self.operations.folded()
         return ((item, 1, 0) for item in move_runs(self))
@@ -495,5 +495,5 @@ def begins_circuit(before: Source | None, now: Source) -> bool:
         return False
     if before is None or not before.passes or before.passes[0] != now.passes[0]:
         return True
-    # In two consecutive calls of one pass each, the lines start again.
+    # Between two calls of one pass each, the line number falls back.
     return len(before.passes) == len(now.passes) == 1 and now.line < before.line

@@ -1,4 +1,4 @@
-"""Limits of velocity and acceleration that a part program sets for the moves behind a line."""
+"""Limits of velocity and acceleration that a part program sets for the moves after a line."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class ProgramLimits:
     Parameters
     ----------
     since
-        (k,) first operation of each row, not falling.
+        (k,) first operation for which each row holds, not decreasing.
     values
         (k, 4) values of ``LIMITS`` in SI; NaN where the program has not set the limit.
     """
@@ -69,6 +69,6 @@ class GrowingLimits:
         self._values.append(self._now)
 
     def table(self) -> ProgramLimits:
-        """Return what was taken."""
+        """Return the table of the changes so far."""
         values = np.array(self._values, dtype=np.float64).reshape(-1, len(LIMITS))
         return ProgramLimits(np.array(self._since, dtype=np.int64), values)

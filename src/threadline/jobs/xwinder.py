@@ -51,7 +51,8 @@ def read_x_winder(path: Path, *, machine: Machine, axes: str | None = None) -> J
     Parameters
     ----------
     axes
-        Letters of the program for axes of the machine, like ``"C=A,Z=X"``; None: their own.
+        Axes of the machine for letters of the program, such as ``"C=A,Z=X"`` (the program's C is
+        the machine's A); None: axes with the same letters.
 
     Raises
     ------
@@ -105,7 +106,7 @@ def read_x_winder(path: Path, *, machine: Machine, axes: str | None = None) -> J
 
 
 def _renaming(machine: Machine) -> str:
-    """Return the pairs that name the mandrel and the carriage of a machine, as to be typed."""
+    """Return the pairs of ``--axes`` that name the mandrel and the carriage of a machine."""
     turning = next((n for n, axis in machine.axes.items() if axis.kind == "rotary"), "A")
     going = next((n for n, axis in machine.axes.items() if axis.kind == "linear"), "X")
     return f'"C={turning},Z={going}"'

@@ -72,7 +72,7 @@ def shell_deck(title: str, rings: Rings, materials: Mapping[str, Ply], pressure:
     Parameters
     ----------
     title
-        For people, on one line.
+        Title of the deck, on one line.
     materials
         Elastic constants by the names that the plies use.
     pressure

@@ -58,9 +58,9 @@ class Material:
     kind, name, title
         Kind, name and title of the material.
     numbers
-        In SI, with tolerance and source, by key of the file.
+        Numbers in SI, with tolerance and source, by key of the file.
     price
-        None: unknown.
+        Price; None: unknown.
     fibre
         Name of the fibre in a prepreg.
     """
@@ -84,9 +84,9 @@ class Composite:
     Parameters
     ----------
     name
-        As the product file has it.
+        Name, as in the product file.
     fibre, resin, prepreg
-        The resin or the prepreg is None.
+        Materials; either the resin or the prepreg is None.
     """
 
     name: str
@@ -101,7 +101,7 @@ class Composite:
 
     @property
     def resin_density(self) -> float:
-        """Density of the resin, kg/m^3; in a prepreg what fibre and whole leave."""
+        """Density of the resin, kg/m^3; in a prepreg it follows from the other densities."""
         if self.resin is not None:
             return self.resin["density"]
         assert self.prepreg is not None
@@ -110,7 +110,7 @@ class Composite:
 
     @property
     def strength(self) -> float:
-        """Strength of the fibres along, Pa; in a prepreg the ply's over its fibre volume."""
+        """Strength of the fibres, Pa; in a prepreg the ply's divided by its fibre volume."""
         if self.prepreg is None:
             return self.fibre["strength"]
         return self.prepreg["strength"] / self.prepreg["fibre_volume"]
@@ -133,7 +133,7 @@ class Composite:
         return tuple(one.price for one in every if one is not None and one.price is not None)
 
     def cost(self, fibre_kg: float, resin_kg: float) -> Price | None:
-        """Return the whole cost of fibre and resin as the ``per_kg`` of a price; None: unknown."""
+        """Return the total cost of fibre and resin, in ``per_kg`` of a price; None: unknown."""
         if self.prepreg is not None:
             price = self.prepreg.price
             kg = fibre_kg + resin_kg
@@ -257,7 +257,7 @@ def composite_of(name: Any, known: Mapping[str, Material], refuse: Refusing, key
     known
         Materials by name.
     refuse, key
-        Refuses the key that has the name.
+        Function that refuses a key, and the key that holds the name.
     """
     if not isinstance(name, str):
         refuse(key, f"{key} = {str(name)[:40]!r} is no material", f'Like {key} = "e-glass/epoxy".')

@@ -29,7 +29,7 @@ class Ply:
     along, across
         Young's moduli along and across the fibres.
     poisson
-        Contraction across at a strain along.
+        Poisson's ratio: contraction across the fibres over strain along them.
     shear
         Shear modulus in the plane.
     """
@@ -40,7 +40,7 @@ class Ply:
     shear: float
 
     def stiffness(self, angle: float) -> FloatArray:
-        """Return the (3, 3) plane stiffness, Pa, at an angle, rad: stresses of 1, 2 and 12.
+        """Return the (3, 3) plane-stress stiffness, Pa, for 1, 2 and 12 at an angle in rad.
 
         The shear strain is the engineering shear strain.
         """
@@ -77,7 +77,7 @@ class Laminate:
     a, b, d
         (3, 3) membrane, coupling and bending stiffness: N/m, N and N m.
     thickness
-        m.
+        Thickness, m.
     """
 
     a: FloatArray
@@ -87,9 +87,9 @@ class Laminate:
 
     @property
     def moduli(self) -> tuple[float, float, float, float]:
-        """Moduli along and round, shear modulus, Pa, and the contraction round at a strain along.
+        """Moduli along and round and shear modulus, Pa; Poisson's ratio for a strain along.
 
-        Without bending: the laminate of a closed shell cannot curl.
+        Bending is left out: the laminate of a closed shell cannot curl.
         """
         soft = np.linalg.inv(self.a) * self.thickness
         return (
@@ -104,7 +104,7 @@ def laminate_of(layers: Sequence[Layered]) -> Laminate:
     Raises
     ------
     ValueError
-        Without a layer of a thickness above 0.
+        If no layer has a thickness above 0.
     """
     whole = sum(layer.thickness for layer in layers)
     if not whole > 0.0:
@@ -126,17 +126,18 @@ def ply_of(
 ) -> Ply:
     """Return the ply of fibres in a resin.
 
-    The modulus along and the contraction follow the rule of mixtures, the others Halpin and Tsai
-    with 2 for the modulus across and 1 for shear. For E-glass with 60 % fibre volume they are 11 %
-    and 26 % below the measured values (Soden, Hinton and Kaddour 1998, table 3): prefer a measured
-    prepreg where the resin carries.
+    The modulus along the fibres and Poisson's ratio follow the rule of mixtures. The modulus across
+    and the shear modulus follow the equations of Halpin and Tsai, with the factors 2 and 1. For
+    E-glass with 60 % fibre volume these two are 11 % and 26 % below the measured values (Soden,
+    Hinton and Kaddour 1998, table 3). Where the resin carries load, prefer the data of a measured
+    prepreg.
 
     Parameters
     ----------
     fibre
-        Moduli along and across, shear modulus, Pa, and contraction.
+        Moduli along and across, shear modulus, Pa, and Poisson's ratio.
     resin
-        Young's modulus, Pa, and contraction.
+        Young's modulus, Pa, and Poisson's ratio.
     fibre_volume
         Share of the fibres in the volume.
     """
@@ -159,15 +160,16 @@ def ply_of(
 def hoop_to_helical(angle: float) -> float:
     """Return the ratio of hoops to helical layers, by thickness, that a closed cylinder needs.
 
-    ``3 cos(a)^2 - 1`` by netting analysis: the fibres alone carry, all with the same stress. Below
-    0 the helical layers are too weak along the cylinder, and no hoop helps.
+    It is ``3 cos(angle)^2 - 1`` by netting analysis, with the angle in rad: the fibres alone carry,
+    all with the same stress. A negative ratio says that the helical layers are too weak along the
+    cylinder, and hoop layers cannot help.
     """
     return 3.0 * math.cos(angle) ** 2 - 1.0
 
 
 @dataclass(frozen=True, slots=True)
 class Netting:
-    """Load that fibres alone carry on a cylinder, N/m for a fibre stress of 1 Pa: m.
+    """Load that fibres alone carry on a cylinder: N/m per Pa of fibre stress, which is m.
 
     Parameters
     ----------
@@ -184,10 +186,10 @@ class Netting:
         return self.round / self.along if self.along > 0.0 else math.inf
 
     def stress(self, pressure: float, radius: float) -> float:
-        """Return the fibre stress, Pa, of a closed cylinder under internal pressure.
+        """Return the fibre stress, Pa, of a closed cylinder under internal pressure, Pa.
 
-        The larger one of both directions: with a ratio other than 2 the fibres share the load
-        unequally. Infinite where nothing carries along.
+        It is the larger of the stresses from both directions; they are equal at a ratio of 2. It is
+        infinite if no fibre carries along or none round. ``radius`` is in m.
         """
         if self.along <= 0.0 or self.round <= 0.0:
             return math.inf

@@ -39,7 +39,7 @@ _LIMIT_COUNTS = 2.0
 class Ahead:
     """The part of a run that was sent to the machine, as a place in the table for each tick.
 
-    A place is a number of rows, whole or not (``PathWindow``).
+    A place is a row number of the table, with a fraction (``PathWindow``).
 
     Parameters
     ----------
@@ -58,14 +58,14 @@ class Ahead:
         Whether the rows end at the program's next rest, for a hold that would leave the path
         anywhere else.
     gently
-        Whether the next cut, and the next start from rest, are those of a gentle hold.
+        Whether the next cut and the next start from rest are gentle.
     rate
         Rows of the table per tick that the run is to play: 1, or from 0.1 to 0.99. The next refill
         begins the change.
     """
 
     keeps_home = True  # positions are counted through every stop
-    share_done = None  # its time gives it
+    share_done = None  # it follows from the time
 
     def __init__(
         self,
@@ -85,8 +85,8 @@ class Ahead:
         self._places = np.zeros(1)  # at the ticks from there on
         self.rate = 1.0
         self._gently = float(ticks_in(OVERRIDE_S, machine))
-        self._rate = 1.0  # that the rows play, or are on the way to
-        self._on_the_way: FloatArray = np.empty(0)  # places up to that rate
+        self._rate = 1.0  # rate that the rows play, or are changing to
+        self._on_the_way: FloatArray = np.empty(0)  # places of the change to that rate
         self._line = (0, 0.0)  # tick and place from which on that rate is played
         self._overrides = [(-1, 1.0)]  # ticks and rates that the machine was sent
         self._given: list[tuple[int, Event]] = []  # sent events, and their ticks
@@ -174,7 +174,8 @@ class Ahead:
     def _following(self, tick: int, place: float, stop: float) -> float:
         """Return the place at ``tick`` after ``place``, at most ``stop``; begin a change of rate.
 
-        At a constant rate it is on a line: adding up steps would add up their rounding.
+        At a constant rate the place lies on a line from the begin of that rate, because a sum of
+        steps would add up their rounding.
         """
         if not len(self._on_the_way) and self._rate != self.rate:
             rates, self._rate = (self._rate, self.rate), self.rate
@@ -299,7 +300,7 @@ class Ahead:
         Raises
         ------
         LimitError
-            Names the axis; the rows are then not sent.
+            If a row exceeds a limit; the error names the axis, and the rows are not sent.
         """
         limits = self._limits
         if not _breaks(stands, counts, limits.velocity, limits.low, limits.high):
@@ -373,7 +374,7 @@ def refuse_start_elsewhere(machine: Machine, stands: IntArray, starts: IntArray)
     Raises
     ------
     CommandError
-        Names the first axis that is elsewhere, and both positions.
+        If an axis stands elsewhere; the error names the first such axis and both positions.
     """
     scale, names = machine.counts_per_unit, machine.axis_names
     for k, (here, begins) in enumerate(zip(stands, starts, strict=True)):

@@ -39,7 +39,7 @@ class AtRest:
     homed
         Whether the positions of the axes are known, or were known when a fault came.
     why
-        Reason of the latest change of state; empty without one.
+        Reason for the latest change of state; empty without one.
     stops
         Number of stop commands received, in any state.
     stopped_by
@@ -133,7 +133,7 @@ class AtRest:
         """Home the machine; a stop ends homing and leaves it enabled, not homed.
 
         Positions that were reported before are forgotten, because the machine stands elsewhere now;
-        what it tells with its answer is known.
+        the values in its answer are kept.
 
         Raises
         ------

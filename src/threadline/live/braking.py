@@ -2,9 +2,9 @@
 
 The *rate* of a run is the number of rows of its table per tick, 1 in normal running. To brake, the
 rate falls to 0 along a smooth curve, so that the axes slow down together and stay on the path. To
-start again, it rises along the mirrored curve. An override changes it along the same curve, but
-slowly: nothing hurries, and loads are not to swing. A way to the rate 1 ends on a whole row, so
-that all later rows are rows of the table.
+start again, it rises along the mirrored curve. A feed override changes the rate along the same
+curve, but slowly, so that loads do not swing. A change to the rate 1 ends on a whole row, so that
+all later rows are rows of the table.
 """
 
 from __future__ import annotations
@@ -21,22 +21,24 @@ from threadline.dynamics.analysis import fastest
 from threadline.machine import Machine
 
 GENTLE_S = 0.5
-"""Duration of the braking and of the start of a gentle hold, s: loops close up their lags in it."""
+"""Duration of the braking and of the restart of a gentle hold, s: loops catch up their lag in
+it."""
 _DURATIONS = (1.0, 2.0, 3.0, 4.0, 6.0, 8.0, 11.0, 16.0, 22.0, 32.0, 45.0, 64.0, 90.0, 128.0, 256.0)
 """Braking durations in ticks to try in turn; the first one that keeps every limit is used."""
 MOST_PLACES = ceil(_DURATIONS[-1]) + 2
-"""Number of rows beyond its beginning that braking or starting may read."""
+"""Number of rows that braking or starting may read beyond the row at which it begins."""
 _LANDS = 200
-"""Most ticks by which a way from a rate of at most 0.99 to 1 is longer, to end on a whole row."""
+"""Most ticks by which a change to the rate 1, from a rate of at most 0.99, is made longer so that
+it ends on a whole row."""
 _LONGER = (1.0, 2.0, 4.0)
-"""Durations of a change of the rate to try in turn, in parts of the shortest one."""
+"""Durations of a gentle change of the rate to try in turn, as multiples of the shortest one."""
 _ROUNDED = (0.5, 1.0, 2.0, 4.0)
 """Largest error, in counts, that rounding to whole counts causes in a position and in its first,
 second and third difference (velocity, acceleration and jerk)."""
 
 
 class Path(Protocol):
-    """Positions of the axes as a function of the place."""
+    """Positions of the axes as a function of the place: a row of the table, with a fraction."""
 
     def counts(self, places: FloatArray) -> FloatArray:
         """Return (n, axes) counts at (n,) places."""
@@ -93,7 +95,7 @@ class CountLimits:
         counts
             (n, axes) positions at consecutive ticks.
         own
-            (m, axes) positions of the table that the motion is made from. If the table itself
+            (m, axes) positions of the table from which the motion is made. If the table itself
             exceeds a limit, as with historical interpolations, its own peak is the limit.
         """
         return float(_excess(counts, own, self.velocity, self.acceleration, self.jerk))
@@ -109,7 +111,7 @@ def _excess(
 ) -> float:
     """Return the largest ratio of the differences of ``counts`` to the limits or to ``own``'s.
 
-    It runs at every refill on some 260 rows, hence as machine code.
+    It is compiled because it runs at every refill, on some 260 rows.
     """
     worst = 0.0
     for k in range(counts.shape[1]):
@@ -224,17 +226,17 @@ def rise(path: Path, place: float, limits: CountLimits, gently: float = 0.0) -> 
 
 
 def most_changed(gently: float) -> int:
-    """Return the number of rows beyond its beginning that a change of the rate may read."""
+    """Return the number of rows that a change of the rate may read beyond its first row."""
     return ceil(_LONGER[-1] * gently) + _LANDS + 2 if gently else MOST_PLACES
 
 
 def change_rate(
     path: Path, place: float, rates: tuple[float, float], limits: CountLimits, gently: float = 0.0
 ) -> FloatArray:
-    """Return the (n,) places at the next ticks for another rate, not empty.
+    """Return the (n,) places at the next ticks while the rate changes; n is at least 1.
 
-    If that rate is 1, the last place is a whole number; after it one row of the table is played at
-    each tick.
+    If the new rate is 1, the last place is a whole number; after it one row of the table is played
+    at each tick.
 
     Parameters
     ----------
@@ -243,8 +245,8 @@ def change_rate(
     place
         Place at which the change begins.
     rates
-        The rate before, 0 at rest, else between 0.1 and 1, and the other one after it, above 0. One
-        that is less than 1 is at most 0.99.
+        The old rate (0 at rest, else 0.1 to 1) and the new rate (above 0). A rate below 1 is at
+        most 0.99.
     limits
         Limits of the axes, as for ``brake``.
     gently

@@ -121,7 +121,7 @@ class Continued:
 
 
 def last_executed(trace: Path) -> int:
-    """Return the current operation at the end of a recording.
+    """Return the last operation that a recording shows as executed.
 
     Raises
     ------
@@ -141,7 +141,7 @@ def last_executed(trace: Path) -> int:
 
 
 def operation_at(plan: Plan, executed: int, at: str) -> int:
-    """Return the operation at whose beginning the work begins again.
+    """Return the operation with which the work begins again.
 
     Parameters
     ----------

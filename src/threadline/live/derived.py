@@ -1,4 +1,4 @@
-"""Commands for the rest of a job: proven rows, from a place on that was executed before.
+"""Commands for the rest of a job: proven rows, from a place that an earlier run has reached.
 
 For axes, rows up to that place are left out, and the axes move there first. A frame or cylinders
 cannot be placed by hand: they get there by the program itself, with needle or tools off.
@@ -41,11 +41,11 @@ class Rest:
     commands
         The commands to send.
     operation
-        Operation at whose beginning the work begins again.
+        Operation with which the work begins again.
     begins
-        (axes,) position at which they begin, in their units; (0,) if nothing is counted.
+        (axes,) position at which the commands begin, in their units; (0,) if nothing is counted.
     left_out
-        Ticks of the whole commands before the first of these.
+        Ticks of the whole commands that were left out at their beginning.
     dry
         Whether the part before the operation is repeated with needle or tools off.
     """
@@ -69,8 +69,8 @@ def rest_of_rows(commands: Commands, machine: Machine, operation: int, *, at_res
     operation
         The operation.
     at_rest
-        Whether they may begin only at a rest of the program (``REST_S`` without a count): the last
-        one before the operation.
+        Whether the rows may begin only at a rest of the program (``REST_S`` without a count); then
+        they begin at the last rest before the operation.
     """
     table = tick_table(commands)
     first, of_first = _first_row(table, operation, rest_rows(table) if at_rest else 0)

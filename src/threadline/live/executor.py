@@ -1,7 +1,8 @@
-"""The executor of one machine: it sends the rows of a proved plan so that the machine can stop.
+"""The executor of one machine: it sends the rows of a proved plan, always with a way to rest.
 
 Rows are sent at most ``DEPTH_S`` ahead. Each refill ends in a tail that brakes along the path, and
-the next one replaces it: if the executor or the link fails, the tail brings the machine to rest.
+the next refill replaces the tail. If the executor or the link fails, the tail brings the machine to
+rest.
 """
 
 from __future__ import annotations
@@ -30,12 +31,12 @@ LEASE_S = 0.25
 """Time in s after which a jog ends unless the operator renews it."""
 _STEPPED_S = 60.0  # longest silence, in s, of a machine whose clock waits for the executor
 _LEAD_S = 0.02
-"""Time in s from a stop to its first row in real time: a message is on its way so long at most."""
+"""Time in s from a stop to its first braking row, in real time: a message takes at most so long."""
 MANY_S = 0.09
-"""Longest machine time in s per report, if its clock waits for the executor: the run goes as fast
-as it can without other commands."""
+"""Longest machine time in s per report, if the machine's clock waits for the executor: a run
+without commands of the operator then goes as fast as it can."""
 _QUICK = 10.0
-"""Least speed for such long reports: commands wait at most 9 ms at that speed."""
+"""Least speed at which a report may cover ``MANY_S``: commands then wait at most 9 ms."""
 _STARVED = "refills came too late, this computer was busy: the machine has braked by itself"
 _SENDING = frozenset({State.RUNNING, State.HOLDING, State.JOGGING})
 
@@ -66,9 +67,9 @@ class Executor(AtRest):
         self._run_kind = run_kind_of(machine)
         self._ahead: RunAhead | JogAhead | None = None
         self._hold = Hold.AT_ONCE
-        self._gently = False  # how the sent braking brakes
-        self._harder = False  # it is to be replaced by a braking at once
-        self._braked_from = 0  # its first tick
+        self._gently = False  # the sent braking is gentle
+        self._harder = False  # the sent gentle braking is to be replaced by one at once
+        self._braked_from = 0  # first tick of the sent braking
         self._lease = ticks_in(LEASE_S, machine)
         self._lease_until = 0
         self._depth = ticks_in(DEPTH_S, machine)
@@ -82,21 +83,21 @@ class Executor(AtRest):
 
     @property
     def percent(self) -> int:
-        """Override of the feed that the run has, %."""
+        """Feed override of the run, %."""
         ahead = self._ahead
         return round(100.0 * ahead.rate) if ahead and not isinstance(ahead, JogAhead) else 100
 
     @property
     def plan_s(self) -> float:
-        """Time of the plan that the machine has played, as last reported, s."""
+        """Time in the plan up to which the machine has reported that it played it, s."""
         ahead = self._ahead
         if not isinstance(ahead, Ahead):
             return self.time_s
-        return ahead.place_at(self.tick) * self._period_s  # rows: its ticks are its commands
+        return ahead.place_at(self.tick) * self._period_s  # a row is a tick of the plan
 
     @property
     def share_done(self) -> float | None:
-        """Executed share of a run, 0 to 1; None if its time gives it."""
+        """Executed share of a run, 0 to 1; None if it follows from the time of the run."""
         ahead = self._ahead
         return None if ahead is None or isinstance(ahead, JogAhead) else ahead.share_done
 
@@ -124,14 +125,14 @@ class Executor(AtRest):
         pass_stops
             Whether the run goes on at stops of the program without an answer.
         hold
-            How it is held, so as not to spoil the work.
+            When a hold brakes, and how hard, so that it does not spoil the work.
         loads_follow
             Whether the commands make the loads follow the motion (``RunKind.loads_follow``).
         from_rest
-            Whether their first rows are at speed, so that it must start as after a hold.
+            Whether the first rows are at speed, so that the run must start as after a hold.
         no_override
-            Why the feed of this run cannot be overridden; empty if it can. The caller has
-            simulated what overrides do (``no_override``).
+            Why the feed of this run cannot be overridden; empty if it can. The caller has simulated
+            the effects of overrides.
 
         Raises
         ------
@@ -175,7 +176,7 @@ class Executor(AtRest):
         axis, to_counts
             Name of the axis, and the position in counts.
         lease_s
-            Remaining lease, if another move came before it.
+            Remaining lease, s, if this move follows another one.
 
         Raises
         ------
@@ -284,17 +285,17 @@ class Executor(AtRest):
             self._sink.state(self.tick, self.state, Cause.OVERRIDE, error.message)
 
     def override(self, percent: int) -> None:
-        """Override the feed of the run: the next refill begins the change, a hold keeps it.
+        """Override the feed of the run; the change begins with the next refill, a hold keeps it.
 
         Parameters
         ----------
         percent
-            From 10 to 100: a proof covers no more.
+            Override, 10 to 100 %: a proof does not cover a higher feed.
 
         Raises
         ------
         CommandError
-            If it is beyond that, there is no run, or this run allows none.
+            If ``percent`` is out of range, there is no run, or this run allows no override.
         """
         refuse_override(percent, self.state, self.no_override)
         ahead = self._ahead
@@ -323,7 +324,7 @@ class Executor(AtRest):
 
     @property
     def _soonest(self) -> int:
-        """Tick from which on rows can be replaced; in real time, by the clock."""
+        """First tick whose row can still be replaced; in real time, estimated by the clock."""
         gone_s = min(clock_s() - self._heard_s, DEPTH_S) if self._real_time else 0.0
         return self.tick + int(gone_s / self._period_s) + self._lead
 
@@ -331,8 +332,8 @@ class Executor(AtRest):
         """Replace the rows that the machine holds by braking along the path, once.
 
         Rows that already brake are kept: a second cut after a refused one could not be undone. A
-        gentle braking is replaced by one at once when a report shows that the machine plays it, so
-        that it was not refused.
+        gentle braking is replaced by one at once when a report shows that the machine plays the
+        gentle braking, and so has not refused it.
         """
         ahead = self._ahead
         if ahead is None or self._rest is not None or ahead.end <= self.tick:
@@ -355,7 +356,7 @@ class Executor(AtRest):
         if ahead.halt is not None:
             ahead.pass_halt()  # its rows begin from rest by themselves
         elif rested:
-            pass  # its rows, too
+            pass  # its rows begin from rest, too
         else:
             ahead.start_again()
         if self.tick + self._depth > ahead.end:

@@ -111,7 +111,7 @@ class FarEnd:
         return bool(hello["simulated"])
 
     def enable(self) -> None:
-        """Switch the drives on; a LinkFaultError if the machine refuses or is silent."""
+        """Switch the drives on; raise LinkFaultError if the machine refuses or is silent."""
         self._link.send(Message("enable"))
         self._expect("enabled")
 
@@ -124,8 +124,8 @@ class FarEnd:
     ) -> tuple[IntArray, dict[str, float]] | None:
         """Home the machine; return its (axes,) position in counts, or None if it was stopped.
 
-        Beside the position it returns the values of the channels that the machine tells with its
-        answer, by their names: a machine with cylinders tells its pistons, contacts and outputs.
+        Besides the position it returns the values that the machine reports with its answer, by
+        channel name: a machine with cylinders reports its pistons, contacts and outputs.
 
         Parameters
         ----------
@@ -133,6 +133,11 @@ class FarEnd:
             Descriptor that is readable when a stop may have been requested.
         stopped
             Processes commands; returns whether one was a stop.
+
+        Raises
+        ------
+        LinkFaultError
+            If the machine refuses, or does not answer.
         """
         self._link.send(Message("home"))
         stop_sent, until = False, time.monotonic() + _ANSWER_S

@@ -30,7 +30,7 @@ def refuse_override(percent: int, state: State, forbidden: str) -> None:
     Raises
     ------
     CommandError
-        Says why.
+        If the override is refused; the message says why.
     """
     if not LEAST_PERCENT <= percent <= MOST_PERCENT:
         raise CommandError(

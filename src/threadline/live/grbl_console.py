@@ -1,7 +1,7 @@
-"""The board of a controller with grbl for a panel, and its console: typed lines, and a log.
+"""A grbl board for a panel, and its console: typed lines, and a log.
 
-A typed line never moves anything: a motion by it would have no lease that ends it. It cannot change
-how the numbers of a later program are read, and it is sent only while nothing moves.
+A typed line must never move anything, since no lease would end such a motion. It must not change
+how the numbers of a later program are read. It is sent only while nothing moves.
 
 Sources: "Grbl v1.1 Commands" (``$`` commands, realtime bytes) of gnea/grbl.
 """
@@ -113,7 +113,7 @@ def _refusal(text: str) -> str:
 
 
 def _unreadable(setting: int, value: float) -> str:
-    """Return why no report could be read after a setting; empty if they could."""
+    """Return why a setting would make the reports unreadable; empty if it would not."""
     if setting == INCHES and value:
         return "it would report inches, and millimetres are read"
     if setting == REPORTS and not int(value) & 1:
@@ -150,13 +150,13 @@ _UNTOLD = re.compile(r"<.*>|\$J=.*")
 class Traffic:
     """Keeps the latest lines to and from a controller, for the console.
 
-    Status requests and reports, which come ten times a second, the pieces of a jog and the answers
-    to them, the steps of an override, and the answers to the lines of a program are left out.
+    It leaves out status requests and reports, which come ten times a second, the pieces of a jog
+    and their answers, the steps of an override, and the answers to the lines of a program.
 
     Parameters
     ----------
     in_program, in_jog
-        Whether lines belong to a program now, or to a jog.
+        Whether the lines of the moment belong to a program, or to a jog.
     """
 
     def __init__(self, in_program: Callable[[], bool], in_jog: Callable[[], bool]) -> None:
@@ -185,7 +185,7 @@ class Traffic:
             self._keep("program" if self._in_program() else "sent", text)
 
     def heard(self, line: str) -> None:
-        """Note a line that came."""
+        """Note a line from the controller."""
         text = line.strip()
         if _UNTOLD.fullmatch(text) or (text == "ok" and (self._in_program() or self._in_jog())):
             return
@@ -193,7 +193,7 @@ class Traffic:
         self._keep("heard", text, words.partition(", ")[2] if words != text else "")
 
     def take(self) -> list[Exchange]:
-        """Return what came since the last call."""
+        """Return the exchanges since the last call."""
         found = list(self._fresh)
         self._fresh.clear()
         return found
@@ -204,14 +204,14 @@ class Traffic:
 
 @dataclass(frozen=True, slots=True)
 class Fill:
-    """How full the controller is, as it reports it.
+    """The use of the controller's planner and receive buffer, as it reports it.
 
     Parameters
     ----------
     blocks, characters
         Used blocks of its planner, and used characters of its receive buffer.
     of_blocks, of_characters
-        How many it has.
+        Number of blocks of the planner, and of characters of the receive buffer.
     """
 
     blocks: int
@@ -221,7 +221,7 @@ class Fill:
 
 
 class GrblBoard:
-    """The board of a controller with grbl.
+    """A grbl board, for a panel.
 
     Parameters
     ----------
@@ -233,7 +233,7 @@ class GrblBoard:
     Attributes
     ----------
     fill
-        How full it is; None if it does not report it.
+        Use of its planner and buffer; None if it does not report it.
     readings
         How often its settings were read for a panel.
     """
@@ -242,7 +242,7 @@ class GrblBoard:
         self._controller, self._traffic = controller, traffic
         self.fill: Fill | None = None
         self.readings = 0
-        self._most = (0, 0)  # the most that was free: some boards have more than they say
+        self._most = (0, 0)  # most free blocks and characters: some boards have more than they say
 
     @property
     def identity(self) -> str:
@@ -251,7 +251,7 @@ class GrblBoard:
 
     @property
     def settings(self) -> list[BoardSetting]:
-        """Its settings beside the machine file."""
+        """Its settings, compared with the machine file."""
         return self._controller.settings
 
     def take(self) -> list[Exchange]:
@@ -259,7 +259,7 @@ class GrblBoard:
         return self._traffic.take()
 
     def report(self, found: Status) -> None:
-        """Take a status report."""
+        """Update ``fill`` from a status report."""
         if found.free is None:
             self.fill = None
             return
@@ -275,7 +275,7 @@ class GrblBoard:
         Parameters
         ----------
         look
-            Called every 50 ms meanwhile.
+            Called every 50 ms while the answer is awaited.
 
         Raises
         ------

@@ -1,8 +1,8 @@
-"""A controller with grbl before a run: its settings, its position, and jogs.
+"""A grbl controller outside a run: its settings, its position, and jogs.
 
-grbl ends every motion that it holds at rest. It is never sent more than ``AHEAD_S`` of motion
-beyond its last reported position, so that it stops within that time if nobody sends more, whatever
-process has died. A jog cancel (0x85) ends the motion at once.
+grbl ends all motion that it has received at rest. A jog is never sent more than ``AHEAD_S`` of
+motion beyond the last reported position. If any process dies and no more motion is sent, the
+machine therefore stops within that time. A jog cancel (0x85) ends the motion at once.
 
 Source: "Grbl v1.1 Jogging" of gnea/grbl.
 """
@@ -49,21 +49,21 @@ from threadline.machine import Machine
 _ANSWER_S = 3.0
 _HOMING_S = 120.0
 _LISTEN_S = 0.05  # longest wait for the controller while the operator may stop it
-_QUIET_S = 5.0  # within which a controller has sent its start-up messages after a reset
-_LEAST_ROOM = 40  # characters of its receive buffer
-ASLEEP_S = 1.0  # between two looks of a wait; longer: this program was suspended
+_QUIET_S = 5.0  # after a reset, the start-up messages of a controller end within this time
+_LEAST_ROOM = 40  # characters; the receive buffer must hold at least so many
+ASLEEP_S = 1.0  # a longer gap between two polls of a wait: this program was suspended
 _OPTIONS = re.compile(r"\[OPT:[^,]*,(\d{1,6})(?:,(\d{1,6}))?(?:,.*)?\]")
 """Blocks of the planner, and characters of the receive buffer."""
-_TRAVEL_M = 1e-3  # tolerance of a report beyond the travel
+_TRAVEL_M = 1e-3  # m or rad that a reported position may lie beyond the travel
 
 
 class Controller:
-    """A controller with grbl that drives a machine.
+    """A grbl controller that drives a machine.
 
     Parameters
     ----------
     port
-        Its port.
+        Port of the controller.
     machine
         The machine that must be connected.
 
@@ -76,9 +76,9 @@ class Controller:
     room
         Characters that its receive buffer holds: 128, unless it reports fewer.
     brakes_s
-        Time in s in which every axis stops from its highest speed, by its settings.
+        Longest time in s that an axis needs to stop from its highest speed, by the settings.
     identity
-        Version of its firmware, as it tells it; empty before it was asked.
+        Firmware version that the controller reports; empty until it has been asked.
     """
 
     def __init__(self, port: Port, machine: Machine) -> None:
@@ -105,14 +105,14 @@ class Controller:
     def greet(self) -> None:
         """Connect to the controller, which must stand still, and read its settings.
 
-        No motion is sent; earlier motion of the controller is not continued.
+        No motion is sent. A reset discards lines and modes of an earlier sender.
 
         Raises
         ------
         LinkFaultError
             If it does not answer, or moves.
         CommandError
-            If its reports cannot be read, or it lacks an axis.
+            If its reports cannot be read, it lacks an axis, or its receive buffer is too small.
         """
         found = self.ask_status()
         if found.state not in {"Idle", "Alarm"}:
@@ -132,7 +132,13 @@ class Controller:
         self.read_settings()
 
     def read_settings(self) -> None:
-        """Read its settings at rest; a CommandError if its reports cannot be read with them."""
+        """Read the controller's settings at rest.
+
+        Raises
+        ------
+        CommandError
+            If the settings change the meaning of the reports, or an axis is missing.
+        """
         lines = self.ask(b"$$\n", _ANSWER_S)
         settings, self._texts = settings_of(lines), texts_of(lines)
         _refuse_other_reports(settings)
@@ -141,16 +147,16 @@ class Controller:
 
     @property
     def settings(self) -> list[BoardSetting]:
-        """Its settings beside the machine file; empty before they were read."""
+        """Its settings, compared with the machine file; empty until they have been read."""
         return compared(self._texts, self.machine, self._letters) if self._texts else []
 
     @property
     def has_switches(self) -> bool:
-        """Whether it homes to switches; without them its reported position is trusted."""
+        """Whether homing is enabled (``$22``); without it the reported position is trusted."""
         return self._homes
 
     def unlock(self) -> None:
-        """Reset it at rest; without switches for homing clear its alarm, too.
+        """Reset it at rest; if homing is not enabled (``$22``), clear its alarm, too.
 
         Raises
         ------
@@ -163,17 +169,17 @@ class Controller:
             self.ask(b"$X\n", _ANSWER_S)
 
     def home(self, stopped: Callable[[], bool]) -> FloatArray:
-        """Home it if it has switches; return its (axes,) position, m or rad.
+        """Home it if homing is enabled (``$22``); return its (axes,) position, m or rad.
 
         Parameters
         ----------
         stopped
-            Whether the operator has stopped it; polled while homing, and it is reset if so.
+            Whether the operator has stopped the homing; polled while homing. If so, it is reset.
 
         Raises
         ------
         LinkFaultError
-            If it is stopped, homing fails, it is in alarm, or its coordinates are shifted.
+            If homing is stopped or fails, it is in alarm, or its coordinates are shifted.
         """
         if self._homes:
             self.ask(b"$H\n", _HOMING_S, stopped)
@@ -195,13 +201,13 @@ class Controller:
     def ask(
         self, line: bytes, timeout_s: float, stopped: Callable[[], bool] | None = None
     ) -> list[str]:
-        """Send a line, and return the lines before its answer.
+        """Send a line, and return the lines that come before its ``ok``.
 
         Raises
         ------
         LinkFaultError
-            If it is refused, not answered in time, or ``stopped`` meanwhile; with ``stopped`` also
-            if this program was suspended for a while, as when the computer sleeps.
+            If the line is refused, not answered in time, or ``stopped`` meanwhile; with ``stopped``
+            also if this program was suspended for a while, as when the computer sleeps.
         """
         self.port.send(line)
         looked_s = clock_s()
@@ -231,7 +237,7 @@ class Controller:
         )
 
     def ask_status(self) -> Status:
-        """Ask for a status report, and return it; a LinkFaultError if none comes."""
+        """Ask for a status report, and return it; raise LinkFaultError if none comes."""
         until = clock_s() + _ANSWER_S
         while (left_s := until - clock_s()) > 0.0 and not self.port.lost:
             self.port.send(STATUS)
@@ -248,7 +254,7 @@ class Controller:
         )
 
     def _quiet(self) -> None:
-        """Read until nothing more comes; a LinkFaultError if it does not end."""
+        """Read until nothing more comes; raise LinkFaultError if lines come without end."""
         until = clock_s() + _QUIET_S
         while self.port.receive(0.5) is not None:
             if clock_s() >= until:
@@ -258,7 +264,7 @@ class Controller:
                 )
 
     def _ask_letters(self) -> tuple[str, ...]:
-        """Read its description of itself; return its axis letters, in the order of its reports.
+        """Read the build information (``$I``); return the axis letters in the order of the reports.
 
         The size of the receive buffer stands before the axes in grblHAL, and after them in
         grbl-Mega-5X.
@@ -294,7 +300,8 @@ class Controller:
         Raises
         ------
         CommandError
-            Names the first setting that differs, or lets an axis exceed its limit.
+            If a setting differs from the machine file, or lets an axis exceed its limit; it names
+            the first such setting.
         """
         machine, self.brakes_s = self.machine, 0.0
         wanted = wanted_of(machine, self._letters)
@@ -317,7 +324,13 @@ class Controller:
             self.brakes_s = max(self.brakes_s, speed / 60.0 / gain)
 
     def position(self, found: Status) -> FloatArray:
-        """Return the (axes,) position in a status report, m or rad; else a LinkFaultError."""
+        """Return the (axes,) position in a status report, m or rad.
+
+        Raises
+        ------
+        LinkFaultError
+            If the report has no machine position or too few axes, or its coordinates are shifted.
+        """
         if found.position is None:
             raise LinkFaultError(
                 "the controller reports no machine positions",
@@ -330,7 +343,7 @@ class Controller:
         return np.asarray(found.position[self._columns()] * units_of(self.machine))
 
     def beyond(self, place: FloatArray) -> str:
-        """Return the axis that is beyond its travel; empty if none is."""
+        """Return the first axis that is beyond its travel; empty if none is."""
         for value, (name, axis) in zip(place.tolist(), self.machine.axes.items(), strict=True):
             if axis.travel is not None and not (
                 axis.travel[0].si - _TRAVEL_M <= value <= axis.travel[1].si + _TRAVEL_M
@@ -340,7 +353,7 @@ class Controller:
 
 
 def _refuse_other_reports(settings: dict[int, float]) -> None:
-    """Refuse a controller whose settings change the meaning of its numbers; see ``meet``."""
+    """Refuse a controller whose settings change the unit or the origin of its positions."""
     if settings.get(13, 0.0) != 0.0:
         raise CommandError(
             f"$13={settings[13]:g} of the controller: it reports inches, and millimetres are read",
@@ -357,7 +370,7 @@ def _refuse_other_reports(settings: dict[int, float]) -> None:
 
 
 AHEAD_S = 0.2
-"""Motion sent ahead of the last reported position, s at its speed."""
+"""Most motion sent ahead of the last reported position, as time at the speed of the jog, s."""
 _SEGMENT_S = 0.05
 
 
@@ -380,7 +393,7 @@ def fastest_by_hand(controller: Controller, axis: str) -> float:
 
 
 class GrblJog:
-    """A motion of one axis to a place, or until it is cancelled.
+    """A jog of one axis to a position, or until it is cancelled.
 
     Parameters
     ----------
@@ -389,21 +402,22 @@ class GrblJog:
     at
         Position of the axis, m or rad.
     axis, velocity
-        Its name, and its velocity in m/s or rad/s; the sign is the direction.
+        Name of the axis, and its velocity in m/s or rad/s; the sign is the direction.
     end
-        Latest end of the motion, m or rad; None: the end of its travel.
+        Target, m or rad; None: the jog lasts until it is cancelled or the travel ends.
 
     Attributes
     ----------
     column
         Number of the axis.
     why
-        Reason of an end before the operator let go; empty without one.
+        Why the jog ended before the operator let go; empty if it did not.
 
     Raises
     ------
     CommandError
-        If there is no such axis, its manual feed is lower, or ``end`` is beyond its travel.
+        If there is no such axis, the velocity is 0 or above the manual feed, or ``end`` is beyond
+        the travel.
     """
 
     def __init__(
@@ -441,7 +455,7 @@ class GrblJog:
         return (self._end - self._sent_to) * self._sign <= 0.0
 
     def feed(self, at: float) -> None:
-        """Send the next piece if it is due, given the axis position, m or rad."""
+        """Send the next piece of the jog if it is due; the axis is at ``at``, m or rad."""
         piece = self._speed * _SEGMENT_S
         held = abs(self._sent_to - at)
         if self._waits or self.cancelled or held + piece > self._speed * AHEAD_S * (1.0 + 1e-9):
@@ -464,10 +478,10 @@ class GrblJog:
         if refusal:
             self.why = f"the controller refused to go on: {refusal}"
         if self.cancelled or refusal:
-            self.cancel()  # a line read after the first cancel began a motion of its own
+            self.cancel()  # grbl may have read this line after the first cancel, and moves again
 
     def note_request(self) -> None:
-        """Note a position request: its report includes all answered lines."""
+        """Note that a report was requested after all answered lines, and includes them."""
         self._asked_since = not self._waits
 
     def cancel(self) -> None:

@@ -1,4 +1,4 @@
-"""A controller with grbl for an operator's panel: homed, moved by hand, run repeatedly."""
+"""A grbl controller at an operator's panel: homed, moved by hand, run repeatedly."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ from threadline.live.operated import Load
 from threadline.live.states import MOVING, Cause, Desk, Hold, Sink, State, next_state
 
 _AT_REST = frozenset({State.DISABLED, State.ENABLED, State.FAULT})
-"""States in which reports of a controller at rest are ignored: nothing is begun in them."""
+"""States in which no state that a controller reports at rest is a fault: nothing begins in them."""
 
 
 class GrblOperated(GrblRun):
-    """A controller with grbl, for one run or jog after the other; see ``Operated``.
+    """A grbl controller, for one run or jog after the other; see ``Operated``.
 
     Parameters
     ----------
@@ -70,7 +70,7 @@ class GrblOperated(GrblRun):
 
     @property
     def share_done(self) -> float | None:
-        """Share of the program's time at its feeds that the reports have passed."""
+        """Share of the program's nominal time, at its feeds, that the reports have passed."""
         whole = float(self._program.durations_s.sum())
         return self.plan_s / whole if whole else 0.0
 
@@ -84,7 +84,7 @@ class GrblOperated(GrblRun):
     def connect(self) -> None:
         """Connect to the controller; see ``Controller.greet``.
 
-        Settings for another machine are a fault, which a reset leaves once they match.
+        Settings for another machine are a fault. A reset clears it once the settings match.
         """
         self.controller.greet()
         self.board.readings += 1
@@ -106,7 +106,7 @@ class GrblOperated(GrblRun):
         self._go(Cause.DISABLE)
 
     def home(self) -> None:
-        """Home it, listening for a stop meanwhile; see ``Controller.home``."""
+        """Home the machine, and listen for a stop meanwhile; see ``Controller.home``."""
         try:
             super().home()
         except LinkFaultError as error:
@@ -141,13 +141,13 @@ class GrblOperated(GrblRun):
     def type_line(self, line: str) -> None:
         """Send a line that the operator typed, and wait for its answer.
 
-        A setting that was written is a fault: the settings are compared again at the reset that
-        leaves it, and the machine must be homed.
+        After a setting was written, the state is a fault: a reset compares the settings again, and
+        the machine must be homed.
 
         Raises
         ------
         CommandError
-            If something moves, or a console must not send the line.
+            If something moves, the link is gone, or a console must not send the line.
         """
         self._refuse_moving()
         if self._port.lost:
@@ -223,7 +223,7 @@ class GrblOperated(GrblRun):
         return Load(plan, sent, notes_on(program, self.controller), program)
 
     def rest(self, load: Load, operation: int, *, at_rest: bool) -> Load:  # noqa: ARG002  # it makes its own ramps
-        """Return the rest of a load from an operation on: its lines."""
+        """Return the rest of a load from an operation on, as lines."""
         assert load.program is not None
         rest, program = rest_of_program(load.program, load.plan, operation)
         notes = notes_on(program, self.controller)

@@ -1,4 +1,4 @@
-"""A plan as the program sent to a controller with grbl, whole or from one of its lines on."""
+"""A plan as the program sent to a grbl controller, whole or from one of its lines on."""
 
 from __future__ import annotations
 
@@ -85,10 +85,10 @@ def _operations(plan: Plan, rows: IntArray) -> IntArray:
 def rest_of_program(program: Program, plan: Plan, operation: int) -> tuple[Rest, Program]:
     """Return the rest of a job from an operation on, and the program for it.
 
-    It begins with the line that is current when the operation begins: a line may span the ends of
-    several operations. Before it come the lines that prepare the controller, the current feed, and
-    the state of spindle, its speed or power, and coolant. The controller still has the program's
-    zero.
+    The rest begins with the line that is current when the operation begins; a line may span the
+    ends of several operations. Before this line, the program repeats the lines that prepare the
+    controller, and sets the feed, spindle, spindle speed or power, and coolant that are then in
+    force. The program's zero (G92) is not sent again, since the controller still has it.
 
     Parameters
     ----------
@@ -134,7 +134,7 @@ def rest_of_program(program: Program, plan: Plan, operation: int) -> tuple[Rest,
 
 
 def _switched(lines: Sequence[bytes]) -> list[bytes]:
-    """Return the lines that restore spindle and coolant as after some lines."""
+    """Return the lines that restore the spindle and coolant state at the end of ``lines``."""
     speed = spindle = b""
     coolant: list[bytes] = []
     for word in (word for line in lines for word in _SWITCHES.findall(line)):

@@ -46,9 +46,9 @@ class Way:
     def stands_at_stop(self, line: int, at: FloatArray) -> bool:
         """Return whether a line is an M0, and a position the end of the line before.
 
-        grbl answers an M0 only after it is resumed, so that the M0 is the first line without an
-        answer; and it stands at the end of the line before. A hold by its button on the way there
-        is the operator's.
+        grbl answers an M0 only after it is resumed. So the M0 is the first line without an answer,
+        and the machine stands at the end of the line before. If it holds anywhere else, the
+        operator pressed its button.
         """
         if line >= len(self._lines) or _STOP.search(self._lines[line]) is None:
             return False
@@ -57,7 +57,8 @@ class Way:
     def time_s(self, executed: int, at: FloatArray) -> float:
         """Return the time at the feeds to a position on the line after ``executed`` lines, s.
 
-        A winder's line may take minutes: without its share the time left would stand meanwhile.
+        The share of the current line counts, too: a line of a winder may take minutes, in which the
+        time left would otherwise stand still.
         """
         before_s = float(self._durations_s[:executed].sum())
         if executed >= len(self._ends):
@@ -96,12 +97,12 @@ def refuse_program(
     Parameters
     ----------
     at, starts
-        (axes,) present position, and the one where the program begins, m or rad.
+        (axes,) present position, and position where the program begins, m or rad.
 
     Raises
     ------
     CommandError
-        Says which of these it is.
+        If the program does so; the message says which of these it is.
     """
     machine = controller.machine
     away = np.abs(at - starts) * machine.radius_m

@@ -1,4 +1,4 @@
-"""A run on a controller with grbl: its lines are counted into its buffer, its reports recorded.
+"""A run on a grbl controller: lines are sent as its buffer has room, and its reports recorded.
 
 The controller plans its own ramps, and executes buffered lines by itself when the link is lost.
 Only its position reports tell what moves: an answer means that a line was received, not executed.
@@ -40,15 +40,15 @@ SILENCE_S = 1.0
 """Time in s without a report after which the link counts as lost."""
 FRESH_S = 5.0  # largest age of the latest report at a start
 _SETTLE_S = 0.5
-OBEYS_S = 1.0  # within which a controller reports that it obeys a hold or a resume
-_STANDS_S = 1.0  # short of the end of its program, after which the run has failed
-ANSWERS_S = 30.0  # beyond the time of its lines: a spindle may be waited for
-_LISTENS_S = 0.05  # at a time: the operator may have sent a command meanwhile
-_HOLDS_S = 2.0  # beyond twice its braking time, after which a hold has failed
+OBEYS_S = 1.0  # time within which a controller reports that it obeys a hold or a resume
+_STANDS_S = 1.0  # a run fails if the controller stands short of its end for longer
+ANSWERS_S = 30.0  # wait for answers beyond the time of the lines: a spindle may have to start
+_LISTENS_S = 0.05  # longest listening at a time: the operator may have sent a command meanwhile
+_HOLDS_S = 2.0  # a hold fails if it takes longer than twice the braking time plus this
 
 
 class GrblRun:
-    """One run of a program on a controller with grbl.
+    """One run of a program on a grbl controller.
 
     Parameters
     ----------
@@ -66,9 +66,9 @@ class GrblRun:
     executed
         Number of lines whose ends the position reports have passed.
     ended
-        How it ended, and why; None before.
+        How the run ended, and why; None before.
     why
-        Reason of the latest change of state; empty without one.
+        Reason for the latest change of state; empty without one.
     homed
         Whether the positions of the axes are known, or were known when a fault came.
     stops
@@ -133,7 +133,7 @@ class GrblRun:
         self._go(Cause.ENABLE)
 
     def home(self) -> None:
-        """Home it, listening for a stop meanwhile; see ``Controller.home``."""
+        """Home the machine, and listen for a stop meanwhile; see ``Controller.home``."""
         self._go(Cause.HOME)
         try:
             self._at = self.controller.home(self._stopped)
@@ -159,7 +159,7 @@ class GrblRun:
         Parameters
         ----------
         program
-            Its lines.
+            The program to send.
         starts
             (axes,) starting position, m or rad.
         no_override
@@ -168,9 +168,8 @@ class GrblRun:
         Raises
         ------
         CommandError
-            If the machine is not idle, stands elsewhere, or has not reported recently.
-        LinkFaultError
-            If the end of a line is beyond the travel.
+            If the machine is not idle, stands elsewhere or has not reported recently, or if a line
+            is too long for the controller or ends beyond the travel.
         """
         next_state(self.state, Cause.START)
         self.refuse_program(program, starts)
@@ -257,7 +256,7 @@ class GrblRun:
 
     @property
     def plan_s(self) -> float:
-        """Time of the program at its feeds that the reports have passed, s."""
+        """Nominal time, at its feeds, of the program up to the latest report, s."""
         return self._way.time_s(self.executed, self._at)
 
     def override(self, percent: int) -> None:
@@ -267,7 +266,7 @@ class GrblRun:
         self._override_on()
 
     def _override_on(self) -> None:
-        """Send the next step to the wanted override, or tell that the controller lacks it."""
+        """Send the next step to the requested override, or report that it was not reached."""
         sent, failed = self._overrides.step(clock_s())
         if sent:
             self._port.send(sent)
@@ -303,7 +302,7 @@ class GrblRun:
             self._command_s, self._last_state_words = clock_s(), ""
 
     def _brake(self) -> None:
-        """Hold the feed; once it stands, or fails to, a reset drops its remaining lines."""
+        """Hold the feed. Once the machine stands, or fails to, a reset drops all other lines."""
         self._braking = True
         most_s = 2.0 * self.controller.brakes_s + _HOLDS_S
         self._brakes_until_s = min(self._brakes_until_s, clock_s() + most_s)
@@ -392,7 +391,7 @@ class GrblRun:
 
     def _follow(self, found: Status) -> None:
         """Follow the controller's own changes: hold, resume, or end if it cannot go on."""
-        fresh = self._heard_s - self._command_s > OBEYS_S  # else the report may be the older
+        fresh = self._heard_s - self._command_s > OBEYS_S  # else the report may predate the command
         if found.state in PAUSES:
             door, k = found.state == "Door", self.acknowledged
             self._unready = found.words if door and found.detail in (1, 2) else ""

@@ -1,4 +1,4 @@
-"""The settings of a controller with grbl in words, beside the values of the machine file.
+"""The settings of a grbl controller in words, compared with the values of the machine file.
 
 Source: "Grbl v1.1 Configuration" of gnea/grbl ($0 to $132); grblHAL and grbl-Mega-5X number the
 settings of further axes in the same way ($103, $113 ...).
@@ -79,13 +79,13 @@ class BoardSetting:
     number
         Its number: 110 for ``$110``.
     name, unit
-        In words; the unit is empty for a code.
+        Name in words, and unit; the unit is empty for a code.
     board, words
-        Value as the board tells it, and its meaning, if it is a code; else empty.
+        Value as the board reports it; and its meaning if it is a code, else empty.
     file
         Value of the machine file in the same unit; empty if it has none.
     mark
-        How they compare.
+        How board and machine file compare.
     """
 
     number: int
@@ -98,7 +98,7 @@ class BoardSetting:
 
 
 def texts_of(lines: Iterable[str]) -> dict[int, str]:
-    """Return the settings that ``$$`` has listed, by number, as they are written.
+    """Return the settings of a ``$$`` listing by number, as text.
 
     >>> texts_of(["$10=1", "$110=5000.000 (x max rate, mm/min)", "ok"])
     {10: '1', 110: '5000.000'}
@@ -154,7 +154,7 @@ def wanted_of(machine: Machine, letters: Sequence[str]) -> dict[int, float]:
 def compared(
     texts: Mapping[int, str], machine: Machine, letters: Sequence[str]
 ) -> list[BoardSetting]:
-    """Return the settings of a board beside the values of a machine file, by their numbers.
+    """Return the settings of a board, compared with a machine file, in order of their numbers.
 
     Settings that a run needs (steps, speed, acceleration) are listed even if the board does not
     report them.

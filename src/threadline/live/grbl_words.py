@@ -17,20 +17,20 @@ from threadline.base.arrays import FloatArray, IntArray
 from threadline.errors import LinkFaultError, PlanError
 
 STATUS, HOLD, RESUME, RESET, JOG_CANCEL = b"?", b"!", b"~", b"\x18", b"\x85"
-"""Bytes that grbl executes at once, wherever they come; they take no room in its buffer."""
+"""Bytes that grbl executes at once, wherever they stand; they take no room in its buffer."""
 RX_BYTES = 128
 """Characters that grbl's receive buffer holds, unless it reports fewer (``$I``)."""
 AS_IS = 100.0
-"""An override that changes nothing, %; grbl has it after each reset."""
-_OVERRIDES_S = 5.0  # for an override: nine coarse and nine fine steps, a report for each
+"""Override that leaves a feed unchanged, %; grbl returns to it at each reset."""
+_OVERRIDES_S = 5.0  # timeout of an override: nine coarse and nine fine steps, a report after each
 _FEED_AS_IS = b"\x90"
-_COARSE = 10  # %, of a coarse step; a fine one is 1 %
+_COARSE = 10  # %; a fine step is 1 %
 _COARSER, _FINER = (b"\x92", b"\x91"), (b"\x94", b"\x93")  # down, up
 _STANDS = frozenset({"Idle", "Alarm", "Sleep", "Check"})
 _STANDING = {"Hold": (-1, 0), "Door": (-1, 0, 1)}
-"""Details after states in which the machine stands; -1 is none."""
+"""Numbers after ``Hold`` and ``Door`` with which the machine stands still; -1: no number."""
 PAUSES = frozenset({"Hold", "Door"})
-"""States that a run may be in for a while, and resume from."""
+"""States in which a run pauses and from which it can resume."""
 _MEANINGS = {
     "Hold": "by its own hold button, or by M0",
     "Door": "its safety door is closed again, and it waits to be resumed",
@@ -86,7 +86,7 @@ _ERRORS = {
     36: "words have no use here",
     38: "the tool number is too large",
 }
-"""Codes of alarms and refusals in grbl 1.1 ("Grbl v1.1 Interface"); others have no words here."""
+"""Alarm and error codes of grbl 1.1 ("Grbl v1.1 Interface"); others have no meaning here."""
 _CODE = re.compile(r"(ALARM|error):(\d{1,3})")
 _REALTIME = re.compile(rb"[?!~\x00-\x1f\x7f-\xff]")
 _REPORT = re.compile(r"<([A-Za-z]+)(?::(\d{1,4}))?\|(.*)>")
@@ -104,13 +104,14 @@ class Status:
     state
         ``Idle``, ``Run``, ``Hold``, ``Alarm`` and so on.
     detail
-        Number after the state: ``Hold:0`` stands, ``Hold:1`` still brakes. -1 without one.
+        Number after the state (``Hold:0``: at rest, ``Hold:1``: still braking); -1: no number.
     position
-        (letters,) machine position, mm or degrees; None if the report has none.
+        (letters,) machine position per axis letter, mm or degrees; None if the report has none.
     offset
-        (letters,) work coordinate offset; None if the report has none.
+        (letters,) work coordinate offset, mm or degrees; None if the report has none.
     overrides
-        (3,) overrides of feed, rapids and spindle, %; None if the report has none, as most have.
+        (3,) overrides of feed, rapids and spindle, %; None if the report has none, as in most
+        reports.
     free
         Free blocks of the planner, and free characters of the receive buffer; None if the report
         has none (``$10`` without 2).
@@ -125,7 +126,7 @@ class Status:
 
     @property
     def stands(self) -> bool:
-        """Whether nothing moves, nor will without a command."""
+        """Whether the machine stands still, and stays so until a command."""
         return self.state in _STANDS or self.detail in _STANDING.get(self.state, ())
 
     @property
@@ -136,7 +137,7 @@ class Status:
 
 
 def in_words(line: str) -> str:
-    """Return an alarm or a refusal with its meaning: ``ALARM:2, a move would have left ...``.
+    """Return an alarm or error line with its meaning: ``ALARM:2, a move would have left ...``.
 
     A line without a code of grbl 1.1 is returned as it is.
     """
@@ -169,10 +170,10 @@ def status_of(line: str) -> Status | None:
 
 
 def override_bytes(percent: int, current: int) -> bytes:
-    r"""Return the bytes for the next step from an override of the feed to another, both in %.
+    r"""Return the bytes of the next step from the feed override ``current`` to ``percent``, %.
 
-    grbl keeps a flag for each of its steps, so that two equal bytes may count as one: a coarse and
-    a fine step at most are sent at once ("Grbl v1.1 Commands", feed overrides).
+    grbl keeps one flag for each kind of step, so two equal bytes may count as one. Therefore at
+    most one coarse and one fine step are sent at once ("Grbl v1.1 Commands", feed overrides).
 
     >>> override_bytes(100, 50), override_bytes(37, 100), override_bytes(52, 51)
     (b'\x90', b'\x92\x94', b'\x93')
@@ -198,22 +199,22 @@ def override_words(overrides: FloatArray) -> str:
 
 
 class Overrides:
-    """Overrides that a controller reports, and the override of the feed that was asked of it."""
+    """The overrides that a controller reports, and the feed override that was requested."""
 
     def __init__(self) -> None:
         self._reported = np.full(3, AS_IS)  # of feed, rapids and spindle, %
         self.forget_wanted()
 
     def reset(self) -> None:
-        """Take a reset of the controller into account, after which it has none."""
+        """Note a reset of the controller, after which all its overrides are 100 %."""
         self._reported = np.full(3, AS_IS)
 
     def forget_wanted(self) -> None:
-        """Forget the request, and that reports have changed."""
+        """Forget the requested override, and any reported change that was not noted."""
         self._unnoted = False
-        self._wanted: int | None = None  # override of the feed, %, until the controller has it
+        self._wanted: int | None = None  # requested feed override, %; None once it is reported
         self._sent_s = -np.inf  # time of the latest step to it
-        self._until_s = np.inf  # when it has failed
+        self._until_s = np.inf  # time at which the request fails
 
     @property
     def percent(self) -> int:
@@ -227,21 +228,21 @@ class Overrides:
 
     @property
     def to_note(self) -> bool:
-        """Whether reports have changed; steps on the way to a wanted override do not count."""
+        """Whether the reported overrides have changed, other than by steps to a request."""
         return self._unnoted and self._wanted is None
 
     def take(self, found: Status, *, to_note: bool = True) -> None:
-        """Take the overrides of a report, if it has some; other ones are to be noted."""
+        """Take the overrides of a report, if it has any; ``to_note``: a change is to be noted."""
         if found.overrides is not None and not np.array_equal(found.overrides, self._reported):
             self._reported, self._unnoted = found.overrides, self._unnoted or to_note
 
     def noted(self) -> str:
-        """Return the overrides in words, and count them as noted."""
+        """Return the overrides in words, and mark them as noted."""
         self._unnoted = False
         return override_words(self._reported)
 
     def want(self, percent: int, now_s: float) -> None:
-        """Ask for an override of the feed, %, from a time on."""
+        """Request a feed override, %, at the time ``now_s``."""
         self._wanted, self._until_s = percent, now_s + _OVERRIDES_S
 
     def waited_s(self, now_s: float) -> float:
@@ -249,7 +250,10 @@ class Overrides:
         return float(now_s - self._sent_s)
 
     def step(self, now_s: float) -> tuple[bytes, str]:
-        """Return the bytes of the next step to the wanted override, and why it has failed."""
+        """Return the bytes of the next step to the requested override, and why it failed.
+
+        The bytes are empty if no step is due, the reason if the request has not failed.
+        """
         if self._wanted is None or self._wanted == self.percent:
             self._wanted = None
             return b"", ""
@@ -264,7 +268,7 @@ class Overrides:
 
 
 def numbers(text: str) -> FloatArray:
-    """Return the numbers between commas; a LinkFaultError if one is invalid."""
+    """Return the numbers between commas; raise LinkFaultError if one is invalid."""
     try:
         found = np.array([float(part) for part in text.split(",")])
     except ValueError:
@@ -275,7 +279,7 @@ def numbers(text: str) -> FloatArray:
 
 
 class CharacterCount:
-    """Counts the characters that grbl may still hold: a line leaves when it is answered."""
+    """Counts the characters in grbl's receive buffer: an answer frees the oldest line."""
 
     def __init__(self, room: int = RX_BYTES) -> None:
         self._room = room
@@ -295,7 +299,7 @@ class CharacterCount:
         self._lengths.append(len(line))
 
     def answered(self) -> None:
-        """Remove the oldest line; a LinkFaultError if none was sent."""
+        """Remove the oldest line; raise LinkFaultError if no line waits for an answer."""
         if not self._lengths:
             raise LinkFaultError("the controller answered a line that was not sent")
         self._lengths.popleft()
@@ -308,14 +312,14 @@ class Program:
     Parameters
     ----------
     lines
-        Each with its line feed.
+        Lines of the program, each with its line feed.
     ends
         (n, axes) position at the end of each line, m or rad.
     durations_s
-        (n,) time of each at its feed alone.
+        (n,) time of each line at its feed, without ramps, and its dwell.
     rows, operations
-        (n,) tick of the plan at which each begins, and the operation of the job at that tick; all
-        0 if unknown.
+        (n,) tick of the plan at which each line begins, and the operation of the job at that tick;
+        all 0 if unknown.
     """
 
     lines: tuple[bytes, ...]
@@ -341,7 +345,7 @@ def program_of(text: bytes, axes: Sequence[str], scale: FloatArray, start: Float
     ------
     PlanError
         If a line has a byte that grbl executes at once, is a command of grbl (``$``), or is longer
-        than its buffer.
+        than its receive buffer.
     """
     lines, ends, durations = [], [], []
     at, feed = start.copy(), 0.0
@@ -373,7 +377,8 @@ def refuse_realtime(line: bytes, number: int) -> None:
     Raises
     ------
     PlanError
-        Names the line.
+        If the line has such a byte, begins with ``$`` or fills the receive buffer; it names the
+        line.
     """
     if _REALTIME.search(line) or line.lstrip().startswith(b"$") or len(line) >= RX_BYTES:
         raise PlanError(
@@ -384,20 +389,20 @@ def refuse_realtime(line: bytes, number: int) -> None:
 
 
 def runs_out(program: Program, blocks: int, most: int = RX_BYTES) -> tuple[float, float]:
-    """Return how long and how far grbl can go on at most when nothing more is sent.
+    """Return for how long and how far grbl can go on at most when nothing more is sent.
 
-    It then has the current line, as many blocks as its planner holds, and the lines in its receive
-    buffer. Times are at the feeds, without ramps.
+    grbl then still has the current line, the blocks in its planner and the lines in its receive
+    buffer. Times are at the programmed feeds, without ramps.
 
     Parameters
     ----------
     blocks, most
-        Blocks of its planner, and characters of its receive buffer.
+        Blocks of grbl's planner, and characters of its receive buffer.
 
     Returns
     -------
     tuple
-        s; and path length in m, where rotary axes count in rad.
+        Time in s, and path length in m, in which 1 rad of a rotary axis counts as 1 m.
     """
     ways = np.linalg.norm(np.diff(program.ends, axis=0, prepend=program.ends[:1]), axis=1)
     longest_s = longest = 0.0
@@ -412,9 +417,9 @@ def runs_out(program: Program, blocks: int, most: int = RX_BYTES) -> tuple[float
 
 
 def settings_of(lines: Iterable[str]) -> dict[int, float]:
-    """Return the settings that ``$$`` has listed, by number; NaN for one that is not a number.
+    """Return the settings of a ``$$`` listing by number; NaN for a value that is not a number.
 
-    Some controllers list texts among them, such as their network address.
+    Some controllers list texts among their settings, such as their network address.
     """
     found = {}
     for line in lines:

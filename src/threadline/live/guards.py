@@ -18,8 +18,7 @@ from threadline.machine.parts import SupplyCut
 
 LATE_IN_A_ROW = 3
 LATE_PERIODS = 5.0
-"""A fault is this number of consecutive late reports, or a report late by this number of periods.
-"""
+"""A fault is ``LATE_IN_A_ROW`` consecutive late reports, or a report late by ``LATE_PERIODS``."""
 # Python's monotonic clock stops while Linux or macOS sleep. macOS's own monotonic clock does not.
 COUNTS_SLEEP: int | None = getattr(time, "CLOCK_BOOTTIME", None)
 if COUNTS_SLEEP is None and sys.platform == "darwin":
@@ -169,9 +168,9 @@ class Guards:
                     axis.room = np.inf if axis.name == coasts else axis.room
 
     def _in_order(self, axis: _Axis, samples: Mapping[str, FloatArray]) -> bool:
-        """Return whether no guard of an axis trips; update its state then.
+        """Return whether no guard of an axis trips; if none does, update its state.
 
-        It is equivalent to ``_trip_of``, in one call for all ticks; that one names the guard.
+        It gives the answer of ``_trip_of`` in one compiled call; only ``_trip_of`` names the guard.
         """
         # Copies: numba compiles separate versions for locked arrays and for views.
         commanded, read, volts = (np.array(samples.get(name, _NONE)) for name in axis.channels)

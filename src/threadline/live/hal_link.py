@@ -1,7 +1,7 @@
 """The process between an executor and LinuxCNC's HAL, and the link to it.
 
-HAL plays by itself the rows that it holds: if this process or the executor dies, it plays on to the
-rest at their end. This process ends HAL once it stands.
+HAL plays the rows that it holds by itself: if this process or the executor dies, HAL plays on until
+the rows end at rest. This process ends HAL once the axes stand.
 """
 
 from __future__ import annotations
@@ -100,7 +100,7 @@ def check_hal(machine: Machine) -> None:
     Raises
     ------
     OptionError
-        If a part is missing; names it.
+        If HAL cannot run the machine, is not installed, or runs already; the message says which.
     """
     if "ticks" not in kind_of(machine).targets or len(machine.axes) > AXES_AT_MOST:
         raise OptionError(

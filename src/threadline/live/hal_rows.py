@@ -22,7 +22,7 @@ from threadline.machine import Machine
 from threadline.twin.row_session import Part, RowSession
 
 _REPORTS_S = 0.005
-"""Lateness is counted in periods of reports, at least this long, in s."""
+"""Lateness is measured in ticks, or in this time, s, if a tick is shorter."""
 
 
 class _Played(RowSession):

@@ -1,7 +1,7 @@
 """The fifos of LinuxCNC's ``streamer`` and ``sampler`` in shared memory.
 
-``halstreamer`` and ``halsampler`` access the same memory, but can only append. A braking tail must
-be replaced by the next refill, so the waiting records are written here. Layout: ``struct
+``halstreamer`` and ``halsampler`` access the same memory, but can only append. The next refill must
+replace a braking tail, so Threadline writes the waiting records itself. Layout: ``struct
 hal_stream_shm`` of LinuxCNC 2.8 and 2.9; it is checked before anything is written.
 
 A thread plays a record of ``streamer`` at each tick and puts a record into ``sampler``. A record
@@ -46,7 +46,7 @@ _ATTACHED.shmdt.argtypes = [ctypes.c_void_p]
 
 
 def in_use(key: int) -> int:
-    """Return the process that made the shared memory with a key; 0 if it is unused."""
+    """Return the process that created the shared memory with a key; 0 if nobody uses it."""
     for line in _MEMORIES.read_text("ascii").splitlines()[1:]:
         its, _, _, _, maker, _, users, *_ = line.split()
         if int(its) == key and int(users):
@@ -55,7 +55,7 @@ def in_use(key: int) -> int:
 
 
 def remove_left() -> None:
-    """Remove the fifos of a HAL that was killed: memory without a user."""
+    """Remove the fifos that a killed HAL left: shared memory without a user."""
     for key in (STREAMER_KEY, SAMPLER_KEY):
         number = int(_ATTACHED.shmget(key, 0, 0))
         if number >= 0 and not in_use(key):
@@ -70,25 +70,26 @@ class HalFifo:
     key
         Key of its shared memory.
     depth
-        Number of records that it was made for.
+        Number of records for which it was created.
     fields
-        A letter for each field: b, f, s, u.
+        Type letter of each field: b (bit), f (float), s (signed), u (unsigned).
 
     Attributes
     ----------
     numbers
         (depth, fields + 1) fields as float64; valid for float fields.
     words
-        (depth, fields + 1) the low 32 bits of the same.
+        (depth, fields + 1) low 32 bits of the same fields; valid for the other types.
 
     Raises
     ------
     LinkFaultError
-        If there is none, or its layout differs.
+        If the computer is not x86-64, the fifo is missing or belongs to another user, or its layout
+        differs.
     """
 
     def __init__(self, key: int, depth: int, fields: str) -> None:
-        if platform.machine() not in {"x86_64", "AMD64"}:  # there stores are seen in order
+        if platform.machine() not in {"x86_64", "AMD64"}:  # x86 keeps the order of stores
             raise LinkFaultError(f"the fifo of HAL needs x86-64, this is {platform.machine()}")
         number = int(_ATTACHED.shmget(key, 0, 0))
         at = None if number < 0 else _ATTACHED.shmat(number, None, 0)
@@ -148,23 +149,23 @@ class HalFifo:
         return words, numbers
 
     def close(self) -> None:
-        """Detach the memory; it must not be used after that."""
+        """Detach the memory; the fifo must not be used after that."""
         self._head = np.zeros(10, np.uint32)
         self.numbers, self.words = np.zeros((0, 1)), np.zeros((0, 1), np.int32)
         _ATTACHED.shmdt(self._at)
 
 
-AXES_AT_MOST = 9  # of the 20 fields of a streamer: two for each axis, and two more
+AXES_AT_MOST = 9  # a streamer has 20 fields: two for each axis, and two more
 FILL_S = 0.15
 """Time for which the fifo holds records at rest after the motion, s."""
 SILENT_S = 0.3
 """Time in s without a tick of HAL's thread after which it counts as gone."""
-_HELD_S = 1.2  # rows, tail and rest: capacity of the fifo
+_HELD_S = 1.2  # capacity of the fifo for rows, braking tail and rest
 SAMPLED_S = 4.0
 _LEAD_S = 0.005  # a row this close to being played is not replaced any more
 _PATIENCE_S = 10.0
 _FLIP, _NUMBER = 0, 1  # fields of a record of the streamer
-_OWN = 2  # fields before the positions, here and in the sampler
+_OWN = 2  # fields before the positions, in records of the streamer and of the sampler
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -176,9 +177,9 @@ class Samples:
     record
         (n,) number of the record that was played.
     interval_s
-        (n,) time since the previous tick.
+        (n,) time between the tick and the previous tick.
     commanded, read
-        (n, axes) counts that HAL commanded, and counts that came back.
+        (n, axes) counts that HAL commanded, and counts that it read back.
     """
 
     record: IntArray
@@ -187,7 +188,7 @@ class Samples:
     read: FloatArray
 
     def at(self, which: slice | NDArray[np.bool_]) -> Samples:
-        """Return some of the samples."""
+        """Return the samples that ``which`` selects."""
         return Samples(
             self.record[which], self.interval_s[which], self.commanded[which], self.read[which]
         )
@@ -204,12 +205,14 @@ class Samples:
 
 
 def as_user() -> list[str]:
-    """Return the words before a HAL command: none, except for root, whom HAL refuses.
+    """Return the words to put before a HAL command.
+
+    There are none, except for root: HAL refuses root, so the command runs as the user of sudo.
 
     Raises
     ------
     OptionError
-        If root did not come by sudo, so that no other user is known.
+        If root did not use sudo, so that no other user is known.
     """
     if os.geteuid() != 0:
         return []
@@ -222,7 +225,7 @@ def as_user() -> list[str]:
 
 
 def words_to_end() -> list[str]:
-    """Return the words of a command that ends a HAL left running."""
+    """Return the words of a command that ends a HAL that was left running."""
     return [*as_user(), "env", f"RTAPI_FIFO_PATH={_meeting_place()}", "halrun", "-U"]
 
 
@@ -238,11 +241,12 @@ class HalSession:
     Parameters
     ----------
     machine
-        Machine whose axes and tick it has.
+        Machine that gives the axes and the tick.
     start
         (axes,) starting position, counts.
     plant
-        Whether axes made of HAL's own components answer; without them it returns its commands.
+        Whether simulated axes, made of HAL's own components, answer; without them HAL returns the
+        commands as the positions read.
 
     Raises
     ------
@@ -288,7 +292,7 @@ class HalSession:
         return self._end
 
     def fill(self) -> None:
-        """Append records at rest if fewer wait than ``FILL_S`` needs."""
+        """Append records at rest until records for ``FILL_S`` wait."""
         self._reach(self.taken + self._fill)
 
     def replace(self, first: int, positions: FloatArray) -> bool:
@@ -299,19 +303,19 @@ class HalSession:
         first
             Number of a record that has not been played.
         positions
-            (n, axes) counts, n >= 1, one for each record from there on.
+            (n, axes) counts, n >= 1, one row for each record from ``first`` on.
 
         Returns
         -------
         bool
-            Whether it is in force; False if ``first`` is about to be played, and then nothing has
-            changed.
+            Whether the new records are in force. False: ``first`` is about to be played, and
+            nothing has changed.
 
         Raises
         ------
         LinkFaultError
-            If it took too long, so that the outcome is unknown; HAL comes to rest by the old or
-            the new rows.
+            If the fifo has no room for so many rows; or if writing took too long, so that the
+            outcome is unknown: HAL comes to rest by the old or the new rows.
         """
         if first + len(positions) >= self.taken + self._depth - 2:
             raise LinkFaultError("more rows at once than the fifo of HAL has room for")
@@ -333,7 +337,7 @@ class HalSession:
         return True
 
     def _reach(self, end: int) -> None:
-        """Append records that rest where the last one does, up to a number."""
+        """Append records that repeat the last position, up to the number ``end``."""
         if end <= self._end:
             return
         numbers = np.arange(self._end, end)
@@ -349,7 +353,7 @@ class HalSession:
 
     @property
     def lost(self) -> int:
-        """Number of samples that were lost because nobody read the earlier ones in time."""
+        """Number of samples that were lost because the earlier ones were not read in time."""
         return self._in.overruns
 
     def samples(self) -> Samples:
@@ -449,7 +453,8 @@ def _net(machine: Machine, depth: int, sampled: int, *, plant: bool) -> list[str
         answers = answers_of(machine)
         lines.append(f"loadrt lowpass names={','.join(f'plant{k}' for k in axes)}")
         for k, axis in enumerate(machine.axes):
-            # The lag of a ramp is T (1 - g) / g, which must equal the lag of the machine's loop.
+            # On a ramp the low-pass lags by T (1 - g) / g, which must equal the lag of the
+            # machine's loop.
             gain = float(period_s) / (float(period_s) + answers[axis].moments[0])
             functions.append(f"plant{k}")
             nets += [

@@ -1,10 +1,10 @@
-"""Effect of a hold or an override on the work: its distance from the path, and vibration.
+"""Effect of a hold or a feed override on the work: distance from the path, and vibration.
 
-With feed-forward or a shaper the commands are not the path itself: they make the loads follow it at
-the full rate. In a hold the loads come to rest at the commanded positions, which lie beside the
-path. If the commands are the path, the axes brake along it as hard as their limits allow, which may
-shake a load more than the plan does: that is simulated. So is a run that is overridden: slower rows
-may meet a mode that the plan's own do not.
+With feed-forward or a shaper the commands differ from the path: they make the loads follow the
+path, at the full feed only. In a hold the loads come to rest at the commanded positions, which lie
+beside the path. If the commands are the path, the axes brake along it as hard as their limits
+allow. Such braking may shake a load more than the plan does, so it is simulated. A run with a feed
+override is simulated, too: its slower rows may excite a mode that the plan does not.
 """
 
 from __future__ import annotations
@@ -43,10 +43,10 @@ _FINER = 4  # points of the path for each tick
 _AT_ONCE = 1 << 13
 _HOLDS = 8  # simulated holds of a run, one in each part of the table
 _PLACES = (None, 0.62, 0.24, 0.86)
-"""Places of the holds within the parts: their fastest rows, then shares of their rows."""
-_STANDS_S = 0.5  # duration of each: the loads come to rest in it
+"""Place of a hold within each part: None is the fastest row, a number is a share of its rows."""
+_STANDS_S = 0.5  # duration of each hold, in which the loads come to rest
 _MOST_ROWS = 200_000  # longest table that is simulated with holds
-_SPARE = 0.97  # share of a limit that a hold may use by its prediction
+_SPARE = 0.97  # share of a limit that a simulated hold may use
 _SLOWER = (0.75, 0.5, 0.25, 0.1)  # rates of simulated overrides
 
 
@@ -79,10 +79,11 @@ def hold_deviation_m(plan: Plan) -> float:
 
 
 def hold_ahead_m(plan: Plan) -> float:
-    """Return the largest distance in m between intended load positions and those in a hold.
+    """Return the largest distance in m from the intended position of the loads to a hold.
 
-    Both at the same instant, at the tool: with feed-forward the motors lead the loads, which reach
-    the motors' positions in a hold. It is 0 if the commands are the intended motion.
+    Both are taken at the same instant, at the tool. With feed-forward the motors lead the loads,
+    and in a hold the loads reach the positions of the motors. The distance is 0 if the commands are
+    the intended motion.
     """
     intended = plan.motion.of_loads
     if intended is None:
@@ -110,7 +111,7 @@ def hold_limit_m(spec: Spec, criterion: str = "contour_error") -> float:
 
 
 def hold_waits(plan: Plan, spec: Spec, leaves_m: float) -> bool:
-    """Return whether a hold waits for the next rest, since elsewhere it would be out of spec.
+    """Return whether a hold must wait for the next rest, as it would be out of spec elsewhere.
 
     Parameters
     ----------
@@ -126,13 +127,13 @@ def hold_waits(plan: Plan, spec: Spec, leaves_m: float) -> bool:
 
 
 def spoiled_by_holds(plan: Plan, spec: Spec, hold: Hold = Hold.AT_ONCE) -> tuple[Result, ...]:
-    """Return the criteria that a hold would bring out of specification, as measured.
+    """Return the criteria that a hold would put out of specification, as measured.
 
-    Runs that are held once in each of ``_HOLDS`` parts of their table are simulated on the nominal
-    machine, until one fails. A run brakes and starts again as the executor does. The first is held
-    at its fastest rows, the others at ``_PLACES`` of the parts: where axes with different lags
-    close up, the eye of a winder swings, and lifts the fibre at other places than the fastest. A
-    criterion that fails without a hold too is not counted.
+    Runs on the nominal machine are simulated until one fails. Each run is held once in each of
+    ``_HOLDS`` parts of its table; it brakes and starts again as the executor does. The first run is
+    held at the fastest row of each part, the others at the shares ``_PLACES``, because the fastest
+    rows are not always the worst: where axes with different lags come to rest, the eye of a winder
+    swings and may lift the fibre. A criterion that fails without a hold, too, is not counted.
     """
     for at in _PLACES:
         window = PathWindow(tick_table(plan.commands), pass_stops=True)
@@ -143,16 +144,17 @@ def spoiled_by_holds(plan: Plan, spec: Spec, hold: Hold = Hold.AT_ONCE) -> tuple
 
 
 def spoiled_by_override(plan: Plan, spec: Spec, hold: Hold) -> tuple[int, tuple[Result, ...]]:
-    """Return an override in % that would bring the work out of specification, and the criteria.
+    """Return an override in % that would put the work out of specification, and the criteria.
 
-    100 and nothing if none does. Two runs at each of ``_SLOWER`` rates are simulated on the nominal
-    machine: one that keeps its rate, and one that at the fastest rows of ``_HOLDS`` parts of its
-    table is played at the full feed for a while, or held, in turn.
+    Returns 100 and no criteria if no override does. For each rate of ``_SLOWER`` two runs on the
+    nominal machine are simulated. One run keeps its rate. The other is interrupted at the fastest
+    row of each of ``_HOLDS`` parts of its table: it plays at the full feed for a while, or is held,
+    in turn.
 
     Parameters
     ----------
     hold
-        How it is held.
+        When a hold brakes, and how hard.
     """
     table = tick_table(plan.commands)
     for rate in _SLOWER:
@@ -169,8 +171,8 @@ def spoiled_by_override(plan: Plan, spec: Spec, hold: Hold) -> tuple[int, tuple[
 def override_exceeds(plan: Plan) -> int:
     """Return an override in % at which a row asks an axis for more than its limits; 100 if none.
 
-    Between two rows the axes go evenly, so that a row which lasts several ticks has its whole
-    change of speed in one of them. That shows where counts are fine and jerk is limited.
+    Between two rows the axes move at constant speed. A row that lasts several ticks therefore has
+    its whole change of speed within one tick, which exceeds a limit of jerk where counts are fine.
     """
     table = tick_table(plan.commands)
     limits = CountLimits.of(plan.machine, loads_follow=plan.motion.of_loads is not None)
@@ -213,7 +215,7 @@ def _spoiled(plan: Plan, spec: Spec, window: PathWindow, places: FloatArray) -> 
 
 
 def _gently(plan: Plan, hold: Hold) -> float:
-    """Return the shortest duration of a braking, in ticks."""
+    """Return the shortest duration of the braking of a hold, in ticks."""
     return gentle_ticks(float(plan.machine.tick_clock.period_s)) if hold is Hold.GENTLY else 0.0
 
 
@@ -222,9 +224,9 @@ def _held_places(
 ) -> tuple[FloatArray, int]:
     """Return the (n,) places at the ticks of a run with holds, and the tick after the last hold.
 
-    0 if no row moves. The rest of the table after the last hold is played unchanged. ``at`` is the
-    place of the holds within their parts, as a share of the rows; None: at the fastest row.
-    ``gently`` is the shortest duration of a braking, in ticks.
+    The tick is 0 if no row moves. The rest of the table after the last hold is played unchanged.
+    ``at`` is the place of the holds within their parts, as a share of the rows; None: at the
+    fastest row. ``gently`` is the shortest duration of a braking, in ticks.
     """
     table = tick_table(plan.commands)
     rows = int(window.reach(_MOST_ROWS))
@@ -256,7 +258,10 @@ def _held_places(
 def _overridden_places(
     window: PathWindow, plan: Plan, slower: tuple[float, int], hold: Hold
 ) -> FloatArray:
-    """Return the (n,) places at the ticks of a run at a rate, up to a row; empty if none moves."""
+    """Return the (n,) places at the ticks of an overridden run; empty if no row moves.
+
+    ``slower`` is the rate and the row at which the places end; ``hold`` says how a hold brakes.
+    """
     rate, rows = slower
     radius = plan.machine.radius_m / plan.machine.counts_per_unit
     step = np.diff(window.counts(np.arange(rows + 1.0)), axis=0) * radius
@@ -298,7 +303,7 @@ def _overridden_places(
 
 
 def _resting(places: FloatArray, window: PathWindow, plan: Plan) -> FloatArray:
-    """Return places with a braking behind them, if they end before the table does."""
+    """Return places with a braking after them, if they end before the table does."""
     window.reach(places[-1] + MOST_PLACES)
     limits = CountLimits.of(plan.machine, loads_follow=plan.motion.of_loads is not None)
     if window.at_end and places[-1] >= window.reach(places[-1]):
@@ -372,8 +377,8 @@ def override_words(leaves_m: float, percent: int, spoiled: Sequence[Result]) -> 
     Parameters
     ----------
     leaves_m
-        Distance in m that loads at a slower rate get from the path at most, if that is too far;
-        else 0.
+        Largest distance in m of the loads from the path at a slower rate if it is too large; else
+        0.
     percent, spoiled
         As ``spoiled_by_override`` returns them.
     """
@@ -394,7 +399,7 @@ def _results_words(results: Sequence[Result]) -> str:
 
 
 def rests_within(plan: Plan) -> bool:
-    """Return whether the rows of a plan rest between two motions, or stop, for a hold."""
+    """Return whether a plan rests or stops between two motions, where a hold can take effect."""
     table = tick_table(plan.commands)
     needed, moved = rest_rows(table), -1  # the last row that moves
     for block in table:

@@ -1,4 +1,4 @@
-"""One run of a proven plan: on the machine, into the store, and before the judge."""
+"""One run of a proven plan: it is executed, stored and judged."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ class Manner:
     Parameters
     ----------
     may
-        Effects of holds and overrides of the feed on its work.
+        Holds and feed overrides that do not spoil the work of the plan.
     recorded
         Entries of the recording's origin besides the options of the plan, such as ``link``.
     pass_stops
@@ -118,13 +118,13 @@ class JudgedRun:
     recording
         Its recording, with the parts of the runs that it continues.
     verdict
-        None without anything to judge.
+        The verdict; None if there was nothing to judge.
     text
         Why it ended, or why there is no verdict.
     content
-        The verdict and what belongs to it, as the folder of the run keeps it; empty without one.
+        The verdict with its details, as stored in the folder of the run; empty without a verdict.
     before
-        Runs that were judged with it.
+        Earlier runs that this run continues; they were judged with it.
     warned
         Why the index of the store could not be written; empty if it was.
     """
@@ -158,7 +158,7 @@ def execute(
     Raises
     ------
     LinkFaultError
-        If the machine may have moved, and the run could not be kept.
+        If the run could not be stored; the machine may have moved.
     """
     with moved(kept), closed(Desk()) as desk, attended(desk) as keys, kept:
         conduct = Conduct(
@@ -181,9 +181,9 @@ def judge_run(done: Executed, plan: Plan, spec: Spec, manner: Manner) -> JudgedR
     Raises
     ------
     RecordingError
-        If a trace cannot be read, or a run to the end recorded nothing that could be judged.
+        If a trace cannot be read, or a completed run recorded nothing that could be judged.
     LinkFaultError
-        If the verdict could not be kept.
+        If the verdict could not be stored.
     """
     kept, text, whole = done.kept, done.text, manner.again is None
     before = () if whole else joined_with(kept.trace)
@@ -233,6 +233,11 @@ def moved(kept: OpenRun) -> Iterator[None]:
     """Report a failure to store a run as a fault of the machine, since it may have moved.
 
     Errors of the executor from before any motion pass unchanged.
+
+    Raises
+    ------
+    LinkFaultError
+        If the run could not be stored.
     """
     try:
         yield
@@ -255,7 +260,7 @@ def fault_of(done: Executed, over: Link) -> LinkFaultError:
 
 
 class HoldAlone:
-    """Ends a hold that nobody is there to end.
+    """Ends a hold after ``UNATTENDED_S``, where nobody is at the keyboard.
 
     Parameters
     ----------
@@ -280,7 +285,7 @@ class HoldAlone:
 
 
 class Unattended:
-    """Attends a run without anybody at keys: it ends holds, and confirms nothing."""
+    """Attends a run without an operator: it ends long holds, and confirms nothing."""
 
     def __init__(self, desk: Desk) -> None:
         self._alone = HoldAlone(desk)
@@ -298,7 +303,7 @@ class Unattended:
 
 @contextmanager
 def unattended(desk: Desk) -> Iterator[Unattended]:
-    """Attend a run by signals alone."""
+    """Attend a run without an operator; signals stop it."""
     with stopping_at_signals(desk):
         yield Unattended(desk)
 

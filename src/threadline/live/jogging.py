@@ -1,7 +1,7 @@
 """Jogs and moves by hand, and the test whether a machine's loops have come to rest.
 
-Accelerating and braking are state-to-state moves of ruckig, time-optimal within velocity,
-acceleration and jerk. All numbers are in counts and ticks.
+Accelerating and braking are state-to-state moves of ruckig, time-optimal within the limits of
+velocity, acceleration and jerk. All numbers are in counts and ticks.
 """
 
 from __future__ import annotations
@@ -22,16 +22,16 @@ from threadline.live.wire import Message
 from threadline.machine import Machine
 
 STILL_S = 0.1
-"""Time in s of the machine for which every encoder must stay within a count."""
+"""Machine time in s for which every encoder must stay within a count."""
 _COUNTS = 1.5
 
 
 class Stillness:
-    """Recent readings of a machine's encoders; time is the machine's.
+    """Recent readings of a machine's encoders, over machine time.
 
-    The slowest pole of the loops of ``lathe-winder``, the one of Y, is 66 ms: once it moves at most
-    a count in 100 ms, it is within 0.3 counts of its final position. A loop that keeps ringing is
-    waited for as long as a run is recorded after its last row.
+    The slowest pole of ``lathe-winder``, in the loop of Y, has a time constant of 66 ms: an axis
+    that moves by at most one count in 100 ms is within 0.3 counts of its final position. If a loop
+    keeps ringing, the wait ends after the time for which a run is recorded after its last row.
     """
 
     def __init__(self, machine: Machine) -> None:
@@ -67,7 +67,7 @@ class Stillness:
     def settled(self, tick: int, end: int) -> bool:
         """Return whether all encoders are still at a tick, after commands that ended at ``end``.
 
-        Without encoders the end itself counts.
+        Without encoders the answer is always yes.
         """
         since = max(end, self._since)
         return not self._within or tick >= min(since + self._wait, end + self._most)
@@ -136,7 +136,7 @@ class JogAhead:
         self._before_cut: tuple[int, list[_At], float] | None = None
         self._still = Stillness(machine)
         self.why = ""
-        """Reason of an end before the operator let go; empty without one."""
+        """Why the jog ended before the operator let go; empty if it did not."""
 
     @property
     def end(self) -> int:

@@ -50,13 +50,13 @@ class RunAhead(Protocol):
     to_rest: bool
     """Whether a hold waits for the next rest of the program."""
     gently: bool
-    """Whether the next cut, and the next start from rest, are those of a gentle hold."""
+    """Whether the next cut and the next start from rest are gentle."""
     rate: float
-    """Rows of the table per tick that it is to play, where ``RunKind.no_override`` is empty."""
+    """Rows of the table to play per tick, where ``RunKind.no_override`` is empty."""
 
     @property
     def share_done(self) -> float | None:
-        """Executed share of its commands, 0 to 1; None if the time of the recording gives it."""
+        """Executed share of its commands, 0 to 1; None if it follows from the time."""
 
     @property
     def start(self) -> IntArray:
@@ -72,7 +72,7 @@ class RunAhead(Protocol):
 
     @property
     def complete(self) -> bool:
-        """Whether the end has been sent."""
+        """Whether the end of the commands has been sent."""
 
     @property
     def halt(self) -> Event | None:
@@ -101,7 +101,7 @@ class RunAhead(Protocol):
         """Return the refill up to a tick, with a part that brings it to rest after that."""
 
     def cut(self, tick: int) -> Message:
-        """Return the refill that stops from a tick on."""
+        """Return the refill that brakes to rest from a tick on."""
 
     def undo(self) -> bool:
         """Undo the last cut, which the machine refused; return whether there was one."""
@@ -158,27 +158,27 @@ class RunKind:
     guards
         Makes the guards of a run.
     halts
-        Returns the events at which the operator or an input is waited for.
+        Returns the events at which a run waits for the operator or for an input.
     hold_deviation_m
         Returns the distance of a hold from the path, in m; infinite if work can be held only at its
         rests.
     spoiled_by_holds
-        Returns the criteria that a hold would bring out of specification; its last argument is
-        how the run is held.
+        Returns the criteria that a hold would put out of specification; its last argument says how
+        a hold brakes.
     rest
         Makes the commands for the rest of a job.
     loads_follow
         Whether the commands of a plan make the loads follow the motion (feed-forward).
     rests_s
-        Returns the (n, 2) begins and ends of the rests at which a hold can stand, s; None if it
-        stands at once, or where the machine lets it.
+        Returns the (n, 2) begin and end, s, of each rest at which a hold can stand; None if a hold
+        stands at once, or where the machine allows it.
     reports_plan_time
-        Whether the machine reports the plan's time of its rows (events ``plan``).
+        Whether recordings give the plan time of the rows (events ``plan``).
     no_override
         Why the feed of its runs cannot be overridden; empty if it can.
     override_spoils
         Returns why an override would spoil the work of a plan; empty if it would not. Its last
-        arguments are the distance of a hold from the path, and how the run is held.
+        arguments are the distance of a hold from the path, and how a hold brakes.
     by_hand
         Whether its axes can be moved by hand, one at a time.
     """

@@ -46,9 +46,9 @@ class Link(Protocol):
     """Runs checked plans on the machine at its far end."""
 
     label: str
+    """Name of the far end if it is neither a machine nor its twin; else empty."""
     holds_at_once: bool
     """Whether the controller holds on its path by itself, and waits for no rest."""
-    """Name of the far end if it is neither a machine nor its twin; else empty."""
 
     @property
     def after_fault(self) -> str:
@@ -89,8 +89,8 @@ class SimLink(ExecutedLink):
     fault
         Injected fault, or None.
     actual
-        Machine that is simulated under the name of the planned one, as a machine differs from its
-        file; None: the planned one.
+        Machine that is simulated under the name of the planned one, if the machine is to differ
+        from its file; None: the planned one.
     """
 
     label = ""
@@ -137,12 +137,12 @@ class GrblLink:
     machine
         The machine that it drives.
     approach
-        Whether its axes first move to where the program begins, one after the other.
+        Whether the axes first move, one after the other, to the position where the program begins.
 
     Raises
     ------
     OptionError
-        If it is not an address, or no program for grbl can be written for the machine.
+        If ``address`` is not one, or no grbl program can be written for the machine.
     """
 
     label = ""
@@ -175,7 +175,7 @@ class GrblLink:
     ) -> tuple[RunEnd, str]:
         """Home, send the program, and record the reports of the controller.
 
-        The controller holds on its path, whatever ``hold`` says.
+        ``conduct.hold`` is ignored: the controller always holds on its path at once.
         """
         assert self._program is not None
         assert self._controller is not None
@@ -223,14 +223,14 @@ def link_of(
     approach: bool = False,
     actual: Machine | None = None,
 ) -> Link:
-    """Return the link with that name; ``approach`` is for a controller with grbl.
+    """Return the link called ``text``; only a link to grbl takes ``approach``.
 
-    ``actual`` is as ``SimLink`` takes it.
+    See ``SimLink`` for ``actual``.
 
     Raises
     ------
     OptionError
-        If there is none, or an option does not apply to it.
+        If there is no such link, or an option does not apply to it.
     """
     name, _, address = text.partition(":")
     if approach and name != "grbl":
@@ -312,7 +312,7 @@ def at_link(link: str, machine: Machine, speed: float) -> AtLink:
     Raises
     ------
     OptionError
-        If there is no such link, or it does not lead to such a machine.
+        If there is no such link, or it cannot drive the machine.
     """
     found = link_of(link, machine, speed, None)
     if link == "sim":
@@ -348,7 +348,7 @@ class RowsOperated(Executor):
         return self.far_end.channels
 
     def type_line(self, line: str) -> None:
-        """Refuse a typed line: the machine takes rows, not lines."""
+        """Refuse a typed line with a CommandError: the machine takes rows, not lines."""
         raise CommandError(
             f"the line {line[:40]!r} was not sent: this link has no console",
             remedy="Use the buttons of the panel.",

@@ -28,7 +28,7 @@ class Load:
     notes
         Notes for the operator before it is sent.
     program
-        Its lines, if it is sent as lines.
+        The program to send, if the plan is sent as lines.
     rest
         Commands sent in place of the plan's, if a run is continued; else None.
     """
@@ -60,7 +60,7 @@ class Operated(Protocol):
     holds_at_once: bool
     """Whether the controller holds on its path by itself, and waits for no rest."""
     meanwhile: Callable[[], None]
-    """Called repeatedly while the machine homes, if homing is waited for here."""
+    """Called repeatedly while the machine homes, if ``home`` waits for the end of homing."""
 
     @property
     def channels(self) -> tuple[Channel, ...]:
@@ -92,7 +92,7 @@ class Operated(Protocol):
 
     @property
     def share_done(self) -> float | None:
-        """Executed share of a run, 0 to 1; None if its time gives it."""
+        """Executed share of a run, 0 to 1; None if it follows from the time of the run."""
 
     @property
     def under_way(self) -> bool:
@@ -117,7 +117,7 @@ class Operated(Protocol):
         """Leave a fault."""
 
     def stand(self, patience_s: float) -> None:
-        """Listen to a machine at rest, and execute commands."""
+        """Listen to a machine at rest for at most ``patience_s``, and execute commands."""
 
     def step(self) -> None:
         """Continue a motion."""
@@ -136,7 +136,7 @@ class Operated(Protocol):
 
     @property
     def board(self) -> GrblBoard | None:
-        """The board of a controller with grbl, which tells its settings; None for other links."""
+        """The grbl board, with its settings and console; None for other links."""
 
     def type_line(self, line: str) -> None:
         """Send a line that the operator typed, if there is a board."""

@@ -1,6 +1,6 @@
 """A window on the rows of a tick table, with the axis positions at any place in it.
 
-A place is a number of rows, whole or not: at place 7.25 a quarter of row 7 has been travelled.
+A place is a row number with a fraction: at place 7.25 a quarter of row 7 has been travelled.
 """
 
 from __future__ import annotations
@@ -18,7 +18,8 @@ HALTS = frozenset(("stop", "wait"))
 """Kinds of events at which a run stands until the operator or an input answers."""
 
 REST_S = 0.05
-"""Shortest rest in s without a count of any axis: slow axes pause between two counts, too."""
+"""Shortest pause in s, without a count of any axis, that is a rest: slow axes pause between two
+counts, too."""
 
 
 class PathWindow:
@@ -133,7 +134,7 @@ class PathWindow:
 def _between(travelled: IntArray, first: int, places: FloatArray) -> FloatArray:
     """Return the (n, axes) counts at places, interpolated linearly between rows.
 
-    It runs several times at every refill on 50 to 260 places, hence as machine code.
+    It is compiled because it runs several times at every refill, on 50 to 260 places.
 
     Parameters
     ----------

@@ -1,6 +1,6 @@
-"""The line to a controller: a serial device or a TCP connection, and how either is written.
+"""The port to a controller, a serial device or a TCP connection, and its address.
 
-A host is written as RFC 1123 and RFC 3490 have it; no name is looked up before it is connected to.
+Host names follow RFC 1123 and RFC 3490; a name is looked up only to connect to it.
 """
 
 from __future__ import annotations
@@ -138,7 +138,7 @@ class Port:
     lost
         Whether the other side is gone.
     log
-        Told of every line and byte that is sent, and of every line that is received; None: nobody.
+        Log of all bytes that are sent and of all lines that are received; None: no log.
 
     Raises
     ------

@@ -1,7 +1,7 @@
 """The part of a schedule sent ahead to the controller of a machine with cylinders.
 
-The controller waits for its contacts itself, scan by scan. The schedule it holds ends at a place
-that it does not pass, and at a scan from which on it switches everything off.
+The controller waits for its contacts itself, scan by scan. The part of the schedule that it holds
+ends at a place that it does not pass, and at a scan from which on it switches everything off.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ class ScansAhead:
     """
 
     keeps_home = False  # an interrupted schedule leaves cylinders anywhere
-    rate = 1.0  # nothing overrides it
+    rate = 1.0  # a schedule has no feed override
 
     def __init__(
         self,
@@ -174,7 +174,7 @@ class ScansAhead:
         Raises
         ------
         LimitError
-            Names the cylinder; the rows are then not sent.
+            If a row does so; the error names the cylinder, and the rows are not sent.
         """
         names = list(self._machine.outputs)
         for name, cylinder in self._machine.cylinders.items():

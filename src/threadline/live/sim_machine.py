@@ -1,8 +1,8 @@
 """The simulated machine behind a link, and faults that can be injected into it.
 
-It knows nothing of jobs and plans. It holds a piece of the commands that ends at rest, and plays it
-tick by tick. A refill replaces the commands from a tick on; without refills it comes to rest. A
-real machine must react in the same way to the same messages.
+The machine knows nothing of jobs and plans. It holds a piece of the commands that ends at rest, and
+plays it tick by tick. A refill replaces the commands from a tick on; without refills the machine
+comes to rest. A real machine must react in the same way to the same messages.
 """
 
 from __future__ import annotations
@@ -179,7 +179,7 @@ class SimMachine(ABC):
     machine
         The simulated machine.
     start
-        Position when it is switched on, in the units of its commands; it is its home, too.
+        Position at switch-on, which is also its home, in the units of its commands.
     tell
         Called with each message to the executor.
     fault
@@ -202,7 +202,7 @@ class SimMachine(ABC):
         self.report_ticks = 1
         """Ticks that it plays before it reports them, unless something is urgent (``play``)."""
         self._unreported: list[RecordingBlock] = []
-        self._since, self._late_by = 0, 0.0  # first tick of these, and the latest of them
+        self._since, self._late_by = 0, 0.0  # first unreported tick; largest lateness since then
         self._answers: dict[str, Callable[[Message], None]] = {
             "enable": self._enable, "disable": self._disable, "home": self._home,
             "begin": self._begin, "refill": self._refill, "finish": self._finish,
@@ -235,7 +235,7 @@ class SimMachine(ABC):
     @property
     @abstractmethod
     def held(self) -> int:
-        """Number of ticks, or a bound of it, until its commands have been played; 0 at rest."""
+        """Number of ticks until its commands have been played, or a bound on it; 0 at rest."""
 
     @property
     @abstractmethod
@@ -327,7 +327,7 @@ class SimMachine(ABC):
         ticks
             Number of ticks.
         late_by
-            Lateness of these ticks, as a multiple of the time of all of them.
+            Lateness of these ticks, as a multiple of their total duration.
         """
         if self._fault is not None:
             late_by = max(late_by, self._fault.late(self.tick))
@@ -426,7 +426,7 @@ class SimMachine(ABC):
         late = self.tick - first if late_by > LATE else 0
         events = [event_row(event) for part in parts for event in part.events]
         if self.pressed and self._enabled:
-            # With its supply cut, its motion is not simulated any more.
+            # With the supply of the drives cut, the motion is not simulated any more.
             why = "the emergency stop is pressed"
             events.append(event_row(Event(tick=sample, kind="fault", operation=-1, name=why)))
             self._drop()

@@ -2,10 +2,10 @@
 
 That process imports only this table, neither the planner nor the judge.
 
-In real time each group of ticks is due at an instant; one that comes more than half of its period
-late is counted, and the following ones are not hurried. At any other speed the machine's clock
-advances only after the executor has answered the last report, so that the load of the computer
-changes nothing.
+In real time each group of ticks is due at an instant. A group that is played more than half of its
+period late is counted as late, and the next groups are not played faster to catch up. At any other
+speed the machine's clock advances only after the executor has answered the last report, so that the
+load of the computer does not change the result.
 """
 
 from __future__ import annotations
@@ -42,13 +42,14 @@ REAL_TIME = 1.0
 SLOWER = "sim:slower"
 """Link to a simulated machine that runs in real time, or slower while the computer is busy."""
 IN_STEP = math.nextafter(REAL_TIME, 0.0)
-"""Its speed: practically real time, but its clock waits for the executor as at any other."""
+"""Speed of ``SLOWER``: practically real time, but the clock waits for the executor, as at any
+other."""
 HOMING_S = 0.5
 """Duration of homing in real time, s; the simulated machine stands at its home already."""
 LEAST_SPEED = 1e-3
-"""Least speed: at a lower one the machine's reports come later than the executor waits."""
+"""Least speed above 0: at a lower one the reports come later than the executor waits."""
 _WAKE_S = 0.005
-"""Period in s at which ticks are played in real time; several shorter ones are played at a time."""
+"""Period in s of playing in real time; ticks that are shorter are played several at a time."""
 _REPORT_S = 0.025
 """Period of reports in s, unless something is urgent."""
 _CHILD = import_and_call("threadline.live.sim_process", "machine_main")

@@ -32,14 +32,15 @@ class State(StrEnum):
 
 
 class Hold(StrEnum):
-    """How a run is held."""
+    """When a hold brakes, and how hard."""
 
     AT_ONCE = "at once"
-    """It brakes along the path as hard as the limits of the axes allow."""
+    """The run brakes along the path as hard as the limits of the axes allow."""
     GENTLY = "gently"
-    """It brakes along the path in about ``braking.GENTLE_S``, and starts again in that time."""
+    """The run brakes along the path in about ``braking.GENTLE_S``, and starts again in that
+    time."""
     AT_REST = "at rest"
-    """It goes on to the next rest of the program, and stands there."""
+    """The run goes on to the next rest of the program, and stands there."""
 
 
 class Cause(StrEnum):
@@ -62,12 +63,12 @@ class Cause(StrEnum):
     RESET = "reset"
 
     def refuse_after(self, ended: object | None) -> None:
-        """Refuse to hold, or to go on with, a run that has come to its end: its machine settles.
+        """Refuse to hold or resume a run that has ended and whose machine settles.
 
         Raises
         ------
         CommandError
-            If this is one of these, and the run has ``ended``.
+            If this is a hold or a resume, and the run has ``ended``.
         """
         if ended is not None and self in {Cause.HOLD, Cause.RESUME}:
             raise CommandError(

@@ -39,9 +39,9 @@ def check_runnable(
     proof_file
         File of the proof, whose hashes are compared with the plan.
     plan, spec
-        The plan, and the specification that it was judged by.
+        The plan, and the specification that judged it.
     override
-        Reason to run a plan that is out of specification; None runs only a passed one.
+        Reason for running a plan that is out of specification; None: only a passed plan may run.
     key
         Key that must have signed the proof; None requires no signature.
 
@@ -51,7 +51,7 @@ def check_runnable(
         If the proof belongs to another plan, is not signed with the key, or is out of spec and
         ``override`` is None.
     OptionError
-        If there is an override for a plan in specification.
+        If an override is given for a plan that is in specification.
     """
     proof = read_proof(proof_file, key)
     place = Place(str(proof_file))
@@ -77,21 +77,22 @@ def check_runnable(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Interventions:
-    """The holds and overrides that an operator may use in a run without spoiling its work.
+    """The holds and overrides that an operator may use in a run without spoiling the work.
 
     Parameters
     ----------
     hold_deviation_m
-        Distance of a hold from the path, m; infinite if work can be held only at its rests.
+        Largest distance from the path at which a hold may stand, m; infinite if the run can be held
+        only at a rest.
     hold
-        How the run is held.
+        When a hold brakes, and how hard.
     spoiled_by_holds
-        The criteria that a hold at once would bring out of specification, by simulation.
+        The criteria that a hold at once would put out of specification, by simulation.
     no_override
         Why the feed of the run cannot be overridden; empty if it can.
     notes, notes_at_once
-        Notes on them for the operator before the run; the second for a controller that holds on its
-        path by itself.
+        Notes on holds and overrides for the operator before the run; ``notes_at_once`` is for a
+        controller that holds on its path by itself.
     """
 
     hold_deviation_m: float
@@ -102,12 +103,12 @@ class Interventions:
     notes_at_once: Sequence[str]
 
     def at_once(self) -> Interventions:
-        """Return them for a controller that holds at once by itself."""
+        """Return the interventions for a controller that holds at once by itself."""
         return replace(self, hold=Hold.AT_ONCE, notes=self.notes_at_once)
 
 
 def interventions(plan: Plan, spec: Spec) -> Interventions:
-    """Return the effects of holds and overrides of the feed on the work of a plan."""
+    """Return which holds and feed overrides of a plan keep its work in specification."""
     kind = run_kind_of(plan.machine)
     leaves_m = kind.hold_deviation_m(plan)
     hold = Hold.AT_REST if hold_waits(plan, spec, leaves_m) else Hold.AT_ONCE
@@ -133,7 +134,7 @@ def interventions(plan: Plan, spec: Spec) -> Interventions:
 
 
 def check_halts(plan: Plan, *, answered: bool) -> None:
-    """Refuse a job that would wait forever; reads the whole commands once.
+    """Refuse a job that would wait for ever; all of its commands are read once.
 
     Parameters
     ----------
@@ -143,7 +144,8 @@ def check_halts(plan: Plan, *, answered: bool) -> None:
     Raises
     ------
     PlanError
-        Names the line of a wait for a missing input, or of a stop without an answer.
+        If a wait needs an input that the machine lacks, or nobody answers a stop; it names the
+        line.
     """
     known = {*plan.machine.inputs, *plan.machine.contacts}
     for event in run_kind_of(plan.machine).halts(plan.commands):
@@ -181,25 +183,25 @@ class Running(Protocol):
 
     state: State
     why: str
-    """Reason of its latest change of state; empty without one."""
+    """Reason for the latest change of state; empty without one."""
     stopped_by: str
-    """Source of its stop, if it was stopped."""
+    """Source of the stop; empty if the run was not stopped."""
 
     @property
     def percent(self) -> int:
-        """Override of its feed, %."""
+        """Override of the feed, %."""
 
     @property
     def no_override(self) -> str:
-        """Why its feed cannot be overridden; empty if it can."""
+        """Why the feed cannot be overridden; empty if it can."""
 
     @property
     def plan_s(self) -> float:
-        """Time of the plan that was played, as far as it is known, s."""
+        """Time in the plan up to which the run is known to have played it, s."""
 
     @property
     def time_s(self) -> float:
-        """Time since its beginning, s."""
+        """Time since the beginning of the run, s."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -213,10 +215,10 @@ class Conduct:
     watch
         Called after each step, for progress.
     again
-        The rest of an interrupted run, which is run in place of the whole.
+        The rest of an interrupted run, which is run instead of the whole job.
     confirmed
-        Called while the machine stands at home before such a run: whether the operator has
-        confirmed it; None while nobody has answered.
+        Called before such a run, while the machine stands at home: whether the operator has
+        confirmed the run; None while there is no answer.
     """
 
     pass_stops: bool = False
@@ -242,7 +244,7 @@ def run_commands(
     *,
     speed: float,
 ) -> tuple[RunEnd, str, int]:
-    """Run checked commands from enabling the drives to the end of settling.
+    """Run checked commands, from enabling the drives to the end of settling.
 
     Parameters
     ----------
@@ -305,7 +307,7 @@ class MovedByHand(Protocol):
         """Commanded position, (axes,) in counts."""
 
     def stand(self, patience_s: float) -> None:
-        """Listen to the machine at rest, and execute commands."""
+        """Listen to the machine at rest for at most ``patience_s``, and execute commands."""
 
     def move(self, axis: str, to_counts: int) -> None:
         """Move an axis to a position."""
@@ -323,9 +325,9 @@ MovedT = TypeVar("MovedT", bound=MovedByHand)
 def moved_to_begin(
     executor: MovedByHand, machine: Machine, again: Continued, confirmed: Callable[[], bool | None]
 ) -> tuple[RunEnd, str] | None:
-    """Wait for the operator, and move to where the work begins; return why that failed.
+    """Wait until the operator confirms, and move to the place where the work begins.
 
-    None if the machine stands there.
+    Returns None once the machine stands there; else how and why the run ended before.
     """
     answer = None
     while executor.state is State.IDLE and not executor.stops and answer is None:
@@ -342,14 +344,14 @@ def moved_in_turn(
     ways: Iterable[tuple[str, int]],
     watch: Callable[[MovedT], None] = lambda _: None,
 ) -> tuple[RunEnd, str] | None:
-    """Move axes one after the other, at their manual feeds; return why that failed.
+    """Move axes one after the other, at their manual feeds.
 
-    None if the machine stands at the end of all moves.
+    Returns None once the machine stands at the end of all moves; else how and why a move ended.
 
     Parameters
     ----------
     ways
-        Axes in their order, and the counts that each moves to.
+        Axes in the order in which they move, each with its target in counts.
     watch
         Called after each step.
     """
@@ -383,7 +385,7 @@ def _failed(proof: ProofFile) -> str:
 
 
 class ExecutedLink(ABC):
-    """A link to a machine that is started for each run, and ends with it.
+    """A link to a machine that is started for each run and ends with the run.
 
     Parameters
     ----------
@@ -402,7 +404,7 @@ class ExecutedLink(ABC):
 
     @property
     def sent(self) -> Mapping[str, bytes]:
-        """Nothing: only the rows of the plan are sent."""
+        """Programs sent to the machine: none, since only the rows of the plan are sent."""
         return {}
 
     def rest(self, plan: Plan, operation: int, *, at_rest: bool) -> Rest:

@@ -1,7 +1,7 @@
 """The turns of a shaft sent ahead to an embroidery frame.
 
-A turn moves the frame from rest to rest, so that the sent turns end at rest by themselves: to stop,
-send no more turns, and withdraw those that have not begun.
+A turn moves the frame from rest to rest, so that the sent turns end at rest by themselves. To stop,
+the executor sends no more turns, and withdraws the turns that have not begun.
 """
 
 from __future__ import annotations
@@ -66,8 +66,8 @@ class TurnsAhead:
     """
 
     keeps_home = True
-    share_done = None  # its time gives it
-    rate = 1.0  # nothing overrides it
+    share_done = None  # it follows from the time
+    rate = 1.0  # turns have no feed override
     rests = False
 
     def __init__(
@@ -117,7 +117,7 @@ class TurnsAhead:
         Raises
         ------
         CommandError
-            Names both positions, in steps.
+            If the frame stands elsewhere; the error names both positions, in steps.
         """
         if not np.array_equal(stands, self.start):
             raise CommandError(
@@ -253,7 +253,7 @@ class TurnsAhead:
         Raises
         ------
         LimitError
-            Names the axis; the turns are then not sent.
+            If a turn does so; the error names the axis, and the turns are not sent.
         """
         for turn in turns:
             self._stands = self._stands + turn.sign * self._lengths[turn.table]

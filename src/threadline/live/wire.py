@@ -145,12 +145,12 @@ def event_of(row: Any) -> Event:
 
 
 def creep_of(row: Any) -> Creep:
-    """Return the creep with these numbers.
+    """Return the creep that ``row`` describes.
 
     Raises
     ------
     LinkFaultError
-        If no creep has them.
+        If ``row`` is not a creep.
     """
     try:
         return Creep.of_row(row)

@@ -1,4 +1,4 @@
-"""One plan beside the files of many controllers: whether each of them is that plan.
+"""Comparison of a plan with its files for many controllers: whether each file is that plan.
 
 A file is read by something that did not write it: tick tables by csv, json and numpy, programs for
 LinuxCNC by its own interpreter, step tables by a decoder of their documented format, programs of a
@@ -41,7 +41,7 @@ _NO_READER = "no reader here is independent of its writer"
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Equal:
-    """The file of one target beside the plan.
+    """The comparison of one target's file with the plan.
 
     Parameters
     ----------
@@ -58,9 +58,9 @@ class Equal:
     tool_m
         The same difference at the tool, m; None where there is none.
     time_s, time_limit_s
-        Largest difference in time and its limit; None where a firmware makes the time.
+        Largest difference in time, s, and its limit; None where a firmware sets the timing.
     at
-        Line, block, row or step of the worst.
+        Line, block, row or step of the largest difference.
     note
         Further differences, times of a firmware, or why the target was skipped.
     missing
@@ -109,7 +109,7 @@ class Equal:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
 class Equality(Summarised):
-    """A plan beside the files of controllers; prints itself as a table.
+    """The comparison of a plan with files for controllers; prints itself as a table.
 
     Parameters
     ----------
@@ -239,8 +239,8 @@ def equal_targets(
     Raises
     ------
     InputError
-        If a given file cannot be read, or belongs to another job or machine; if no target at all
-        could be compared.
+        If a given file cannot be read, or belongs to another job or machine; an ``OptionError`` if
+        no target at all could be compared.
     """
     found = []
     with tempfile.TemporaryDirectory(prefix="threadline-equal-") as folder, _room_in(folder):
@@ -263,7 +263,7 @@ def equal_targets(
 
 @contextmanager
 def _room_in(folder: str) -> Iterator[None]:
-    """Say that a disk is full by the folder that may be changed, not by a file of this function."""
+    """Name the folder that the user may change if a disk is full, not a temporary file."""
     try:
         yield
     except (OSError, InputError) as error:
@@ -385,7 +385,7 @@ _COMPARED: Mapping[str, Callable[[str, Plan, Path], Found]] = {
     **dict.fromkeys(_SCHEDULES, _schedule),
     "steps": _steps,
 }
-"""Function that compares the file of each target that something else can read."""
+"""For each target whose file something else can read, the function that compares the file."""
 _TAPES = ("dst", "u01")
 _ENDING = {"steps": "json", "openplc": "st", "plcopen": "xml"}
 _SUFFIX = {"openplc": "-openplc"}

@@ -1,11 +1,10 @@
-"""Programs for firmwares that plan by themselves: the firmware's own code beside the plan.
+"""Comparison of a plan with programs for firmwares that plan by themselves, by their own code.
 
 Where the code of the firmware is at hand (``klipper_host``, ``grbl_steps``, ``marlin_steps``), it
 runs the program, and every step that it makes is compared. With ``--interpolation firmware`` the
 plan itself is the firmware's motion of the job: steps and plan are compared at the same instants.
-Every other plan has times of its own. Then the program must follow the path of the plan, and its
-steps are compared with Threadline's model of the firmware, whose time the plan of a workshop rests
-on.
+Every other plan has its own timing. Then the program must follow the path of the plan, and its
+steps are compared with Threadline's model of the firmware, which also predicts run times.
 """
 
 from __future__ import annotations
@@ -38,7 +37,7 @@ from threadline.readback.equal_programs import (
 from threadline.readback.stepped import Beside, Steps, beside
 
 SEGMENT_S = 0.01
-"""Stretch of time for which grbl works out one speed, s: ``ACCELERATION_TICKS_PER_SECOND``."""
+"""Time for which grbl keeps one speed, s: 1 / ``ACCELERATION_TICKS_PER_SECOND``."""
 STEPS = 1.0
 """Steps of a motor by which its place may differ from the plan's at the same instant."""
 
@@ -50,17 +49,19 @@ class Oracle:
     Parameters
     ----------
     name
-        Its name, for people.
+        Name, for messages.
     missing
         Function that returns why it cannot be run here; empty if it can.
     unfit
-        Function of a machine and its axes that returns why it cannot run a job of theirs.
+        Function of a machine and the axes of a job that returns why the code cannot run the job;
+        empty if it can.
     run
         Function of program, machine, axes and steps per mm or degree that returns the steps.
     same_instant
-        Whether the place is compared at the same instant; if not, it is the distance from the path.
+        Whether places are compared at the same instant; if not, the distance from the path is
+        compared.
     slack_s
-        Time by which a step may differ besides its share of the time, s.
+        Time by which a step may differ in addition to its share of the time, s.
     apart
         Function of a machine that returns differences of this code from the machine file.
     """
@@ -99,7 +100,7 @@ ORACLES: Mapping[str, Oracle] = {
         apart=marlin_steps.apart,
     ),
 }
-"""By target. Firmwares without an entry are read back by Threadline alone."""
+"""Oracles by target. Programs for other firmwares are read back by Threadline alone."""
 
 
 def missing_oracle(target: str) -> str:
@@ -143,9 +144,9 @@ def compare_firmware(target: str, plan: Plan, path: Path) -> Found:
 
 
 def _by_model(target: str, plan: Plan, path: Path, read: Found) -> Found:
-    """Return a program that was read back with its time by the model of the firmware's planner.
+    """Return ``read`` with the time difference by the model of the firmware's planner.
 
-    Only a plan that the firmware itself makes has the same time.
+    Only a plan that the firmware itself makes has that time; any other is returned as it is.
     """
     if plan.motion.path.interpolation != FIRMWARE:
         return read

@@ -54,14 +54,15 @@ class Curve:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Found:
-    """A file beside its plan.
+    """The differences between a file and its plan.
 
     Parameters
     ----------
     reader
         The reader of the file, in a few words.
     own
-        Whether only a reader of Threadline's has read it, which no other program confirms.
+        Whether only Threadline's own reader has read the file, so that no other program confirms
+        it.
     place, place_limit
         Largest difference in place and its limit, in ``unit``.
     unit
@@ -73,7 +74,7 @@ class Found:
     time_s, time_limit_s
         Largest difference in time and its limit; None where nothing states a time.
     at
-        Line, row, block or step of the worst.
+        Line, row, block or step of the largest difference.
     note
         Remarks that say nothing against the file.
     wrong
@@ -98,7 +99,7 @@ class Found:
 
     @property
     def beyond(self) -> bool:
-        """Whether a difference is beyond its limit, or there is one without a limit."""
+        """Whether a difference is beyond its limit, or a difference has no limit."""
         over = self.place > self.place_limit * (1.0 + 1e-9)
         late = abs(self.time_s or 0.0) > (self.time_limit_s or 0.0) * (1.0 + 1e-9)
         return over or (self.time_limit_s is not None and late) or bool(self.wrong)
@@ -107,7 +108,7 @@ class Found:
 def no_file_of(
     what: str, target: str, path: Path, reason: object, line: int | None = None
 ) -> RecordingError:
-    """Return the refusal of a file that is none of ``target``, in one line."""
+    """Return the error, in one line, for a file that is not one of ``target``."""
     return RecordingError(
         f"the file is no {what}: {' '.join(str(reason).split())[:140]}",
         place=Place(str(path), line or 0),
@@ -117,12 +118,12 @@ def no_file_of(
 
 @contextmanager
 def refusing(what: str, target: str, path: Path) -> Iterator[None]:
-    """Raise every failure of a reader of a file of ``target`` as an error of one line.
+    """Turn every failure of a reader of ``target`` files into an error of one line.
 
     Raises
     ------
     RecordingError
-        If the failure is not an error of one line already.
+        If the reader fails with an error of Python or numpy.
     """
     try:
         yield
@@ -146,7 +147,7 @@ def whole_fraction(text: object) -> Fraction:
     Raises
     ------
     ValueError
-        If it is none, or has more digits than any clock.
+        If it is no time, or has more digits than any clock.
     """
     if isinstance(text, bool) or not isinstance(text, int | float | str):
         raise ValueError(f"{str(text)[:40]!r} is no time")
@@ -166,9 +167,9 @@ def of_another(what: str, named: object, wanted: str, path: Path) -> RecordingEr
 
 
 def thinned(*columns: FloatArray, most: int = 4000) -> list[FloatArray]:
-    """Return columns with at most some ``most`` rows; of each run of rows the largest.
+    """Return columns with at most ``most`` rows.
 
-    The last column gives the size.
+    From each group of consecutive rows the row with the largest size in the last column is kept.
     """
     count = len(columns[-1])
     if count <= most:

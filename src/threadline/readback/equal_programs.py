@@ -1,4 +1,4 @@
-"""Part programs read for ``equal``: the path and the clock of a program beside its plan."""
+"""Comparison of part programs with a plan, for ``equal``: their path and their clock."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def compare_interpreted(target: str, plan: Plan, path: Path) -> Found:
     Raises
     ------
     RecordingError
-        If ``rs274`` does not come to its end.
+        If ``rs274`` does not reach the end of the program.
     OptionError
         If ``rs274`` is not installed: see ``missing_rs274``.
     """
@@ -68,7 +68,7 @@ def compare_read_back(target: str, plan: Plan, path: Path) -> Found:
 
 
 def of_path(reader: str, plan: Plan, found: Followed, note: str) -> Found:
-    """Return a followed program with its limits."""
+    """Return the differences of a followed program, with their limits."""
     return Found(
         reader=reader,
         place=found.place_m,
@@ -91,7 +91,7 @@ def missing_rs274() -> str:
 
 
 def firmware_note(target: str, plan: Plan, path: Path) -> str:
-    """Return the firmware's own time beside the plan's, where its planner is known."""
+    """Return the plan's time, and the firmware's own time if its planner is known, in words."""
     planned_s = f"planned {plan.duration_s:.4g} s"
     own = replace(plan.machine, operator=None)
     again = read_written(path, own, target)
@@ -166,7 +166,7 @@ def _by_rs274(plan: Plan, path: Path, *, timed: bool) -> Points:
 
 
 class _BlockTimes:
-    """Times of blocks with N and F of G93, s, asked for in the order of the program."""
+    """Times in s of blocks with N and F of G93, to be asked for in the order of the program."""
 
     def __init__(self, path: Path) -> None:
         text = path.read_text(encoding="utf-8", errors="replace")
@@ -219,9 +219,9 @@ class Points:
     ends
         (n, axes) in m, rotary axes at their radius.
     end_s
-        (n,) clock at each end; None where a firmware makes the time.
+        (n,) clock at each end, s; None where a firmware sets the timing.
     where
-        Line or block of each.
+        Line or block of each end.
     """
 
     ends: FloatArray
@@ -231,9 +231,9 @@ class Points:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Followed:
-    """Largest distance in m and clock difference in s, where they are, and both over time.
+    """Largest distance in m and clock difference in s, the place of the worst, and both over time.
 
-    ``time_s`` is None where a firmware makes its own time.
+    ``time_s`` is None where a firmware sets the timing.
     """
 
     place_m: float
@@ -336,7 +336,7 @@ class _Match:
 
 
 def _matches(times: FloatArray, points: FloatArray, ends: FloatArray) -> Iterator[_Match]:
-    """Yield where the plan first comes by each end, always onwards from the one before."""
+    """Yield where the plan first passes each end, onwards from the place of the end before."""
     steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
     way = np.concatenate([[0.0], np.cumsum(steps)])
     at = 0
@@ -363,7 +363,7 @@ def _matches(times: FloatArray, points: FloatArray, ends: FloatArray) -> Iterato
 
 
 def _from_segments(point: FloatArray, chain: FloatArray) -> FloatArray:
-    """Return the distances of a point from the segments of a chain; of its one point if alone."""
+    """Return the distances of a point from the segments of a chain, or from its single point."""
     off: FloatArray
     if len(chain) < 2:
         off = np.linalg.norm(chain - point, axis=1)

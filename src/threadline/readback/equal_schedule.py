@@ -1,9 +1,9 @@
-"""Programs of a PLC read for ``equal``: run scan by scan beside the schedule of the plan.
+"""Comparison of PLC programs with the schedule of a plan, for ``equal``: scan by scan.
 
-``scan_language`` reads the program, and a controller of its own runs it: home, start, one cycle.
-Its end switches come from the simulated machine that plays the plan, and each input that nothing
-moves comes at the scan at which the plan waits for it. What the program then switches, scan after
-scan, is compared with the switchings of the plan.
+``scan_language`` reads the program, and ``Controller`` runs it: home, start, one cycle. The end
+switches follow the simulated machine that plays the plan. Each input that no cylinder moves comes
+at the scan at which the plan waits for it. The outputs that the program then switches are compared,
+scan by scan, with the switchings of the plan.
 """
 
 from __future__ import annotations
@@ -32,14 +32,14 @@ from threadline.twin.switching import SwitchOptions, simulate_switching
 
 SCANS = 1
 """Scans by which a switching of the program may differ from the plan's."""
-_MOST_HOME = 60_000  # scans of a way home
+_MOST_HOME = 60_000  # scans that homing may take
 _BUTTONS = {"start": "start", "acknowledge": "acknowledge", "home": "home"}
 _HELD = ("light-grid", "enable")
 _DEEPEST = 8  # blocks in one another; a sequence has two
 
 
 def compare_schedule(target: str, scheduled: Scheduled, path: Path) -> Found:
-    """Run the program in a file beside the schedule of a plan.
+    """Run the program in a file, and compare it with the schedule of a plan.
 
     Parameters
     ----------
@@ -89,7 +89,7 @@ class _Played:
 
 
 def _played(one: Scheduled, period_us: int) -> _Played:
-    """Play the schedule on the nominal machine, and look at it once a scan."""
+    """Play the schedule on the nominal machine, and sample it once per scan."""
     machine, commands = one.machine, one.commands
     recording = simulate_switching(commands, machine, SwitchOptions(after_s=0.0))
     blocks = list(recording.blocks)
@@ -124,9 +124,10 @@ def _vacuums(machine: Machine, outputs: tuple[str, ...]) -> list[int]:
 
 
 def _free(waits: list[tuple[int, int]], vacuums: IntArray) -> IntArray:
-    """Return a contact that no cylinder closes: it comes when it is waited for.
+    """Return the states of a contact that no cylinder closes: it comes when the plan waits for it.
 
-    After a wait it stays until a vacuum is switched off, else until the middle before the next.
+    After a wait it stays until a vacuum is switched off; without one, until halfway to the next
+    wait.
     """
     count = len(vacuums)
     if not waits:
@@ -228,9 +229,10 @@ def _changes(column: IntArray) -> IntArray:
 def _stroke(
     one: Scheduled, wanted: IntArray, found: IntArray, period_s: float
 ) -> tuple[str, float, float]:
-    """Return the cylinder whose asked stroke differs most by its limit, by how much, and the limit.
+    """Return the cylinder whose stroke differs most by its limit, the difference, and the limit.
 
-    A cylinder asks for speed times level as long as its valve and a flow are open.
+    The stroke is speed times level, summed as long as the valve and a flow of the cylinder are
+    open.
     """
     worst = ("", 0.0, 0.0)
     column = {name: k for k, name in enumerate(one.commands.outputs)}
@@ -278,7 +280,13 @@ class OnDelay:
 
 
 class Instance:
-    """A function block, or the program, with its own variables."""
+    """A function block, or the program, with its own variables.
+
+    Raises
+    ------
+    ScanError
+        If the unit has no body, contains itself, or a variable has an unknown type.
+    """
 
     def __init__(
         self, unit: Unit, units: Mapping[str, Unit], around: tuple[Unit, ...] = ()

@@ -1,8 +1,8 @@
-"""Step tables read for ``equal``: by the format in ``docs/files.md`` alone, and by the motion law.
+"""Comparison of step tables with a plan, for ``equal``: by ``docs/files.md`` and the motion law.
 
-Nothing of the writer is used. Each step that the file makes has a time and a place. The plan's
-place at that time follows from the design and the motion law: a move of n steps is at n s(u) after
-the share u of its window, and its step j is due where that is j.
+No code of the writer is used. Each step in the file has a time and a place. The plan's place at
+that time follows from the design and the motion law s: after the share u of its window, a move of n
+steps is at n s(u), and its step j is due where n s(u) is j.
 """
 
 from __future__ import annotations
@@ -35,8 +35,8 @@ from threadline.readback.equal_found import (
 STEPS = 1.0
 """Steps by which a place may differ from the plan's."""
 PERIODS = 1.0
-"""Counts of an interval by which a step may come earlier or later than the law has it: periods of
-the timer, or parts of the shaft's turn where intervals are counted by angle."""
+"""Counts of an interval by which a step may come earlier or later than by the law: periods of the
+timer, or parts of the shaft's turn where intervals are counted by angle."""
 _READER = "a decoder of docs/files.md"
 _MOST = 1 << 28
 _GRID = 20_000  # finds a step within a thousandth of a count
@@ -65,7 +65,7 @@ def compare_steps(stitched: Stitched, path: Path) -> Found:
     Raises
     ------
     RecordingError
-        If the manifest or a file beside it is none, is missing, or belongs to another job or
+        If the manifest or one of its files is not valid, is missing, or belongs to another job or
         machine file.
     """
     commands = stitched.commands
@@ -261,7 +261,7 @@ def _late_windows(stitched: Stitched, read: _Read, count: int) -> FloatArray:
 
 
 class _ByLaw:
-    """The steps of tables beside a motion law, which is looked up on a fine grid."""
+    """Compares the steps of tables with a motion law, which is interpolated on a fine grid."""
 
     def __init__(self, law: Law, window: int) -> None:
         self._share = np.linspace(0.0, 1.0, _GRID + 1)
@@ -270,9 +270,10 @@ class _ByLaw:
         self._known: dict[int, tuple[float, float, int]] = {}
 
     def off(self, number: int, intervals: IntArray) -> tuple[float, float, int]:
-        """Return how far a table is from the law: steps, counts of an interval, and that step.
+        """Return a table's largest difference from the law: steps, counts, and step of the counts.
 
-        At each of its n steps, step j is at j, and the law at n times its rise.
+        The counts are counts of an interval. At step j the table is at j, and the law at n times
+        its rise.
         """
         if number not in self._known:
             n, ticks = len(intervals), np.cumsum(intervals)

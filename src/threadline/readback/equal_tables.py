@@ -1,4 +1,4 @@
-"""Tick tables read for ``equal``: by csv, json and numpy alone, without the readers of `files/`."""
+"""Comparison of tick tables with a plan, for ``equal``: by csv, json and numpy, not ``files/``."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from threadline.readback.equal_found import (
 
 _READ_BY = {"csv": "csv and json", "npz": "numpy and json", "ticks": "whole numbers, and json"}
 _MOST_COUNTS = 1 << 40  # of a tick: sums over all ticks of a table stay whole
-_LONGER, _MORE = 2, 1000  # ticks that are read of a table that is longer than the plan
+_LONGER, _MORE = 2, 1000  # a table may have twice the ticks of the plan, and 1000 more
 _HEADERS = {
     (1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0,
 }  # fmt: skip
@@ -150,7 +150,7 @@ def _counts(numbers: object, axes: int) -> Sequence[int]:
     Raises
     ------
     ValueError
-        If they are anything else.
+        If ``numbers`` is anything else.
     """
     if not isinstance(numbers, list) or len(numbers) != axes:
         raise ValueError(f"{str(numbers)[:40]!r} is not one count for each of {axes} axes")

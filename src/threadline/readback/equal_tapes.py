@@ -1,7 +1,7 @@
 """Designs on tapes (DST, U01) read for ``equal`` by pystitch, which did not write them.
 
-A tape has places and events and no times: the machine makes its own. The places of the needle are
-compared stitch by stitch, and thread changes and stops by the stitches before them.
+A tape has places and events but no times: the machine sets its own timing. The places of the needle
+are compared stitch by stitch, and thread changes and stops by the stitches before them.
 """
 
 from __future__ import annotations
@@ -32,8 +32,8 @@ def compare_tape(target: str, stitched: Stitched, path: Path, fresh: Path) -> Fo
     Parameters
     ----------
     fresh
-        The file that ``compile`` writes for the plan; every byte counts, for the head of a tape
-        moves nothing.
+        The file that ``compile`` writes for the plan. Every byte is compared with it, because the
+        head of a tape has no stitches to compare.
 
     Raises
     ------

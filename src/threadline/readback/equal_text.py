@@ -1,4 +1,4 @@
-"""The text of a file on disk beside the file that ``compile`` writes, and what wrote it."""
+"""Comparison of a file on disk with the file that ``compile`` writes, and check of its origin."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def check_version(target: str, given: Path, plan: Plan) -> None:
     Raises
     ------
     RecordingError
-        If it does, or is empty.
+        If the file does so, or is empty.
     OptionError
         If it is larger than any file that ``compile`` writes.
     """
@@ -66,7 +66,7 @@ def check_version(target: str, given: Path, plan: Plan) -> None:
 
 
 def other_text(target: str, fresh: Path, given: Path) -> str:
-    """Return the first part of a given file that ``compile`` writes otherwise; empty if none."""
+    """Describe the first difference of a given file from what ``compile`` writes; empty if none."""
     if target == "npz":
         return _other_arrays(fresh, given)
     difference = _other_lines(fresh, given)
@@ -96,8 +96,8 @@ def _other_lines(fresh: Path, given: Path) -> str:
 def _lines(path: Path) -> list[tuple[int, str]]:
     """Return the numbered lines of a file that are not empty, without blanks at their ends.
 
-    Only what ends a line for a controller ends it here: a vertical tab or a next-line character
-    in its place is a difference.
+    Only a line feed ends a line, as for a controller: a vertical tab or a next-line character in
+    its place is a difference.
     """
     try:
         text = path.read_text(encoding="utf-8")
@@ -112,10 +112,11 @@ def _lines(path: Path) -> list[tuple[int, str]]:
 
 
 def _other_arrays(fresh: Path, given: Path) -> str:
-    """Return the name of the first array that differs between two archives, or their first byte.
+    """Describe the first array that differs between two archives, or the first byte.
 
-    An archive may be packed in another way, and then has another size. In one of the same size
-    each byte has to be the same: no checksum covers dates, sizes and attributes of its members.
+    An archive that is packed in another way has another size, and is accepted. In an archive of the
+    same size every byte must be equal, because no checksum covers dates, sizes and attributes of
+    its members.
     """
     with (
         refusing("archive of arrays", "npz", given),

@@ -1,12 +1,12 @@
-"""The code of grbl 1.1 itself, compiled for this computer: every step that it makes, and when.
+"""The steps of a program, and their times, by grbl 1.1's own code, compiled for this computer.
 
 ``THREADLINE_GRBL`` names the folder ``grbl`` of a checkout of gnea/grbl. Its parser, planner and
 stepper (``gcode.c``, ``motion_control.c``, ``planner.c``, ``stepper.c``, ``nuts_bolts.c``) are
 compiled as they are, with a clock in place of the timer of its processor. grbl is GPL and no part
-of Threadline: it is built, and runs, in a folder of its own.
+of Threadline: it is built and run in a separate folder.
 
-Time goes on from interrupt to interrupt, ``OCR1A + 1`` cycles of 16 MHz each, as the timer of an
-ATmega328P in its mode CTC has it (data sheet, section 16.9.2).
+Time advances from interrupt to interrupt, by ``OCR1A + 1`` cycles of 16 MHz each, as in the CTC
+mode of the timer of an ATmega328P (data sheet, section 16.9.2).
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ def missing() -> str:
 
 
 def unfit(machine: Machine, axes: Sequence[str]) -> str:  # noqa: ARG001
-    """Return why a job with these axes has no place on a grbl; empty if it has one.
+    """Return why grbl cannot run a job with these axes; empty if it can.
 
     grbl 1.1 has three axes, which its planner treats alike: a mandrel runs as one of them.
     """
@@ -59,7 +59,7 @@ def unfit(machine: Machine, axes: Sequence[str]) -> str:  # noqa: ARG001
 def steps_on_grbl(
     program: Path, machine: Machine, axes: Sequence[str], counts: Mapping[str, float]
 ) -> dict[str, Steps]:
-    """Return the steps of every axis, from zero on, for a program that begins at the places 0.
+    """Return the steps of every axis for a program that begins at position 0, from time 0 on.
 
     Parameters
     ----------
@@ -71,7 +71,7 @@ def steps_on_grbl(
     OptionError
         If grbl's code does not compile.
     RecordingError
-        If it refuses a line of the program.
+        If grbl's code refuses a line of the program, or fails before its end.
     """
     planner = machine.planner
     assert isinstance(planner, GrblPlanner)
@@ -164,7 +164,7 @@ void waited(double s);
 #define sei()
 #define cli()
 """
-"""Stands for the processor: its registers are variables, its delays pass on the clock."""
+"""Replaces the processor: its registers are variables, its delays advance the clock."""
 _MAIN = r"""
 #include <stdio.h>
 #include "grbl.h"

@@ -1,9 +1,9 @@
-"""Klipper's own host in batch mode: every step that it has a board make of a program, and when.
+"""The steps of a program, and their times, by Klipper's own host in batch mode.
 
 ``THREADLINE_KLIPPER`` names a checkout of Klipper in which ``cp test/configs/linuxprocess.config
 .config && make olddefconfig && make`` has made ``out/klipper.dict``, and
 ``THREADLINE_KLIPPER_PYTHON`` a Python with the packages of its ``scripts/klippy-requirements.txt``.
-Klipper is GPL and no part of Threadline: it runs as a program of its own, in a folder of its own.
+Klipper is GPL and no part of Threadline: it runs as a separate program, in a separate folder.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from threadline.readback.stepped import Steps
 
 CHECKOUT, PYTHON = "THREADLINE_KLIPPER", "THREADLINE_KLIPPER_PYTHON"
 BEGIN_S = 1.25
-"""When the program begins, s: a quarter of a second ahead of the start, and behind a pause."""
+"""Time at which the program begins, s: Klipper starts 0.25 s ahead, and pauses for 1 s first."""
 _RAILS = "XYZ"
 _OTHERS = "ABCUVW"
 _CLOCK_HZ = 50e6  # CLOCK_FREQ of its Linux process
@@ -53,7 +53,7 @@ def missing() -> str:
 
 
 def unfit(machine: Machine, axes: Sequence[str]) -> str:
-    """Return why a job with these axes has no place on a Klipper; empty if it has one."""
+    """Return why Klipper cannot run a job with these axes; empty if it can."""
     for axis in axes:
         if axis in _RAILS and machine.axes[axis].kind != "linear":
             return f"{axis} turns, and Klipper's {axis} is a linear rail"
@@ -65,7 +65,7 @@ def unfit(machine: Machine, axes: Sequence[str]) -> str:
 def steps_on_klipper(
     program: Path, machine: Machine, axes: Sequence[str], counts: Mapping[str, float]
 ) -> dict[str, Steps]:
-    """Return the steps of every axis, from zero on, for a program that begins at the places 0.
+    """Return the steps of every axis for a program that begins at position 0, from time 0 on.
 
     Parameters
     ----------
@@ -77,7 +77,7 @@ def steps_on_klipper(
     OptionError
         If Klipper's host cannot be run.
     RecordingError
-        If it refuses a word of the program.
+        If Klipper's host refuses a word of the program.
     """
     checkout = Path(os.environ[CHECKOUT])
     python = os.environ.get(PYTHON, "python3")
@@ -136,7 +136,7 @@ def _run(words: list[str], folder: Path, into: Path | None) -> str:
 
 
 def _pins(axes: Sequence[str]) -> dict[str, str]:
-    """Return the axis by the pin of its steps."""
+    """Return the axis of each pin that makes steps."""
     others = [axis for axis in axes if axis not in _RAILS]
     rails = {f"gpiochip0/gpio{3 * k}": axis for k, axis in enumerate(_RAILS)}
     return rails | {f"gpiochip0/gpio{9 + 2 * k}": axis for k, axis in enumerate(others)}
@@ -190,7 +190,8 @@ def _shown(machine: Machine, axis: str, value: float) -> float:
 def _around(machine: Machine, axes: Sequence[str]) -> tuple[str, str]:
     """Return the lines before and after the program.
 
-    To set a position makes the host work out every step; at the end of its input it drops the rest.
+    Setting a position makes the host compute all steps so far; at the end of its input it would
+    drop those that it has not computed.
     """
     planner = machine.planner if isinstance(machine.planner, KlipperPlanner) else None
     at = "SET_KINEMATIC_POSITION X=0 Y=0 Z=0\n"

@@ -1,4 +1,4 @@
-"""The program that stands for all of Marlin but its planner; ``marlin_steps`` compiles it."""
+"""The program that replaces all of Marlin but its planner; ``marlin_steps`` compiles it."""
 
 MAIN = r"""
 // In: words with their numbers ("steps", "rate", "most" for X Y Z I; "travel"; "least"; "short";

@@ -1,15 +1,14 @@
-"""Marlin's own planner, compiled for this computer: every step of the blocks that it makes.
+"""The steps of a program by Marlin's own planner, compiled for this computer.
 
 ``THREADLINE_MARLIN`` names the folder ``Marlin`` of a checkout of Marlin bugfix-2.1.x, with
 ``Configuration.h`` and ``src`` in it. Its ``planner.cpp`` and ``motion.cpp`` are compiled as they
-are, with ``marlin_program`` in place of everything else. The configuration is the one that the
-checkout comes with, for X, Y, Z and a turning A without heaters and extruder; limits and steps are
-those of the machine. Marlin is GPL and no part of Threadline: it is built, and runs, in a folder of
-its own.
+are, with ``marlin_program`` in place of all other code. The configuration is the checkout's own,
+set to X, Y, Z and a rotary A, without heaters and extruder; the machine file gives limits and
+steps. Marlin is GPL and no part of Threadline: it is built and run in a separate folder.
 
-The moves of the program are read by Threadline. Marlin's planner makes blocks of them: steps of
-each axis, and the trapezoid of their speed. Steps come evenly by Bresenham's rule, as in its
-``stepper.cpp``, at the instants that the trapezoid gives.
+Threadline reads the moves of the program. Marlin's planner turns them into blocks: steps of each
+axis, with a trapezoid of speed. Within a block the steps are spread evenly by Bresenham's rule, as
+in ``stepper.cpp``, at the instants that follow from the trapezoid.
 """
 
 from __future__ import annotations
@@ -58,16 +57,16 @@ _CONFIGURED = {
     "HOMING_BUMP_DIVISOR": "{ 2, 2, 4, 4 }",
 }
 _PINS = {"MIN": 70, "STEP": 71, "DIR": 72, "ENABLE": 73, "CS": -1}
-# Its table of arc cosines counts leading zeros, of 0 too, which without lzcnt are any number.
+# Its arc cosine counts the leading zeros of 0, too; without lzcnt this number is undefined.
 _FLAGS = ("-std=gnu++17", "-O1", "-w", "-fpermissive", "-mlzcnt", "-ffunction-sections")
 _HELD = re.compile(r"^[ \t]*(?://)?[ \t]*#define[ \t]+(\w+)\b.*$", re.MULTILINE)
-_MOST = 1e9  # for a limit that the machine has not
+_MOST = 1e9  # in place of a limit that the machine does not have
 _RING, _SHORT_US = 16, 20_000
 _TIMEOUT_S = 600.0
 
 
 def missing() -> str:
-    """Return why Marlin's planner cannot be compiled here, and how; empty if it can."""
+    """Return why Marlin's planner cannot be compiled here, and what it needs; empty if it can."""
     named = os.environ.get(FOLDER)
     if not named:
         return f"Marlin's own planner is missing: {FOLDER} names its folder (docs/equal.md)"
@@ -80,16 +79,16 @@ def missing() -> str:
 
 
 def bounds_axes_in_corners(marlin: Path) -> bool:
-    """Return whether the acceleration of each axis bounds this Marlin's speed through a corner.
+    """Return whether this Marlin limits its speed through a corner by each axis's acceleration.
 
-    By ``corner_axes`` a machine file says the same of its own Marlin.
+    ``corner_axes`` in a machine file says the same about the machine's own Marlin.
     """
     text = (marlin / "src/module/planner.cpp").read_text(encoding="utf-8", errors="replace")
     return "limit_value_by_axis_maximum(block->acceleration" in text
 
 
 def apart(machine: Machine) -> str:
-    """Return the differences of this Marlin from the machine file in words; empty for none."""
+    """Return how this Marlin differs from the machine file, in words; empty if it does not."""
     planner = machine.planner
     if not isinstance(planner, MarlinPlanner) or planner.jump:
         return ""
@@ -103,7 +102,7 @@ def apart(machine: Machine) -> str:
 
 
 def unfit(machine: Machine, axes: Sequence[str]) -> str:
-    """Return why a job with these axes has no place on this Marlin; empty if it has one."""
+    """Return why this Marlin cannot run a job with these axes; empty if it can."""
     turning = [axis for axis in axes if machine.axes[axis].kind == "rotary"]
     if len(turning) > 1:
         return f"it is compiled with one axis that turns, and {' and '.join(turning)} turn"
@@ -115,7 +114,7 @@ def unfit(machine: Machine, axes: Sequence[str]) -> str:
 def steps_on_marlin(
     program: Path, machine: Machine, axes: Sequence[str], counts: Mapping[str, float]
 ) -> dict[str, Steps]:
-    """Return the steps of every axis, from zero on, for a program that begins at the places 0.
+    """Return the steps of every axis for a program that begins at position 0, from time 0 on.
 
     Parameters
     ----------
@@ -127,7 +126,7 @@ def steps_on_marlin(
     OptionError
         If Marlin's planner does not compile.
     RecordingError
-        If it breaks off.
+        If Marlin's planner fails before the end of the program.
     """
     planner = machine.planner
     assert isinstance(planner, MarlinPlanner)
@@ -151,7 +150,7 @@ def steps_on_marlin(
 def compiled(
     marlin: Path, folder: Path, *, jumps: bool, curved: bool = False, ring: int = _RING
 ) -> Path:
-    """Return the program, compiled in ``folder``.
+    """Compile Marlin's planner in ``folder``, and return the executable.
 
     Parameters
     ----------
@@ -198,7 +197,7 @@ def compiled(
 
 
 def run(built: Path, words: Iterable[str], moves: Iterable[str]) -> list[list[float]] | None:
-    """Return the rows that the program answers to settings and moves; None if it breaks off."""
+    """Run the compiled planner on settings and moves; return its rows, None if it fails."""
     process = subprocess.run(  # noqa: S603
         [str(built)], input="\n".join([*words, "go", *moves, ""]), capture_output=True, text=True,
         errors="replace", timeout=_TIMEOUT_S, check=False,
@@ -217,7 +216,7 @@ def _configured(found: re.Match[str]) -> str:
 
 
 def _columns(machine: Machine, axes: Sequence[str]) -> dict[str, int]:
-    """Return the place of each axis in Marlin's X, Y, Z and turning I."""
+    """Return the column of each axis among Marlin's X, Y, Z and rotary I."""
     linear = [axis for axis in axes if machine.axes[axis].kind == "linear"]
     named = {axis: _AXES.index(axis) for axis in linear if axis in _AXES}
     left = [k for k in range(len(_AXES) - 1) if k not in named.values()]
@@ -264,7 +263,7 @@ def _moves(
     column: Mapping[str, int],
     shown: Mapping[str, float],
 ) -> Iterator[str]:
-    """Yield a line for each move: places of X Y Z I, speed, whether it rests, and how long."""
+    """Yield a line for each move: position of X Y Z I, speed, whether it rests, dwell."""
     own = replace(machine, operator=None)
     path = plan_path(programmed_path(read_written(program, own, "marlin"), own), own, FIRMWARE)
     scale = np.array([shown[axis] for axis in path.axes])
@@ -317,14 +316,14 @@ def _steps(rows: Sequence[Sequence[float]], column: Mapping[str, int]) -> dict[s
 def event_times(
     events: int, first: float, top: float, last: float, faster: float, slower: float, gain: float
 ) -> FloatArray:
-    """Return (events,) instants of the steps of a block, s from its begin.
+    """Return (events,) instants of the steps of a block, s from its start.
 
     Parameters
     ----------
     first, top, last
-        Speed at the begin, the highest and the one at the end, steps a second.
+        Initial, highest and final speed, steps/s.
     faster, slower
-        Step before which the speed grows, and step at which it begins to fall.
+        Number of the step up to which the speed grows, and of the step from which on it falls.
     gain
         Acceleration, steps/s^2.
     """

@@ -1,6 +1,6 @@
-"""Structured text of IEC 61131-3, read from its own grammar: declarations, and bodies that run.
+"""A reader of structured text (IEC 61131-3): it reads declarations, and bodies that can be run.
 
-The reader knows nothing of the program that wrote the text. It takes the part of the language that
+The reader is independent of the program that wrote the text. It takes the part of the language that
 sequences need: BOOL, INT, DINT, TIME, STRING and constant arrays of them; assignments, IF, WHILE,
 and calls of function blocks. Everything else is refused with its line.
 """
@@ -81,7 +81,7 @@ class Unit:
 
 
 class Parser:
-    """Reads tokens from the first to the last."""
+    """Reads tokens from the first to the last; a wrong token raises ``ScanError``."""
 
     def __init__(self, tokens: list[Token]) -> None:
         self._tokens, self._at, self._depth = tokens, 0, 0
@@ -101,12 +101,12 @@ class Parser:
         return "" if self.done else self._tokens[self._at].kind
 
     def take(self, *wanted: str) -> str:
-        """Take the next word, which is one of ``wanted`` if there are any; in its own letters.
+        """Take the next word, in its own letters; it must be one of ``wanted``, if any are given.
 
         Raises
         ------
         ScanError
-            If it is another one, or the text is over.
+            If it is another word, or the text has ended.
         """
         if self.done:
             raise ScanError("it ends too early: the file was cut off", self.line)
@@ -140,7 +140,7 @@ class Parser:
         return int(text)
 
     def skip_to(self, word: str) -> list[str]:
-        """Take all words up to and with ``word``; return them in lower case."""
+        """Take all words up to ``word``, and ``word`` itself; return them in lower case."""
         words = list[str]()
         while not words or words[-1] != word:
             words.append(self.take().lower())
@@ -222,7 +222,7 @@ class Parser:
     # Bodies
 
     def statements(self, *ends: str) -> Statement:
-        """Read statements up to one of the words ``ends``, which stays."""
+        """Read statements up to one of the words ``ends``, which is not taken."""
         self._depth += 1
         if self._depth > _DEEPEST:
             raise ScanError(f"statements stand more than {_DEEPEST} deep in one another", self.line)
@@ -299,7 +299,7 @@ class Parser:
         return run
 
     def _count_turn(self, now_us: int, line: int) -> None:
-        """Count a turn of a loop of this text, whichever loop it is of."""
+        """Count one turn of any loop of this text."""
         before = self._turns if now_us == self._turning_us else 0
         self._turning_us, self._turns, self._all_turns = now_us, before + 1, self._all_turns + 1
         if self._turns > _MOST_TURNS or self._all_turns > _MOST_IN_ALL:
@@ -433,7 +433,7 @@ def read_units(text: str) -> Iterator[Unit]:
 
 
 def read_body(text: str) -> Statement:
-    """Return the body in a text that has nothing else.
+    """Return the body of a text that consists of statements alone.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Files with a PLC's program: structured text, PLCopen XML and Siemens SCL, as units to run."""
+"""Readers of PLC program files: structured text, PLCopen XML and Siemens SCL, as units to run."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _SECTIONS = {"inputVars": "var_input", "outputVars": "var_output", "localVars": 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ReadProgram:
-    """A program as a file has it.
+    """A program that was read from a file.
 
     Parameters
     ----------
@@ -40,7 +40,7 @@ class ReadProgram:
     interval_us
         Interval of its task; None if the file does not say it.
     addresses
-        Addresses that stand beside the program, by name of a variable; None if inside.
+        Addresses from a separate file, by name of a variable; None if they stand in the program.
     """
 
     units: list[Unit]
@@ -95,7 +95,7 @@ def of_plcopen(path: Path) -> ReadProgram:
 
 
 def _interval_of(text: str) -> int:
-    """Return an interval as XML has it: ``PT0.01S``, or ``T#10ms``."""
+    """Return an interval in us from its form in XML: ``PT0.01S``, or ``T#10ms``."""
     found = re.fullmatch(r"PT(\d{1,9}(?:\.\d{1,9})?)S", text)
     return round(1e6 * float(found[1])) if found else time_us(text)
 
@@ -180,7 +180,7 @@ def of_scl(path: Path) -> ReadProgram:
 
 
 def _undressed(found: re.Match[str]) -> str:
-    """Return a word of SCL as IEC 61131-3 has it: ``#place`` and ``"light_grid"`` bare."""
+    """Return a word of SCL without the ``#`` or the quotes that IEC 61131-3 does not have."""
     return found["kept"] or found["tag"] or found["own"] or ""
 
 

@@ -21,7 +21,7 @@ _PART_US |= {"ms": 1000, "us": 1}
 
 
 class ScanError(ValueError):
-    """A text that is no structured text of sequences, or a body that cannot go on."""
+    """A text outside the structured text that sequences need, or a body that cannot go on."""
 
     def __init__(self, message: str, line: int | None = None) -> None:
         super().__init__(message)

@@ -1,4 +1,4 @@
-"""Steps that a firmware makes of a program, beside the plan: where each axis is, and when."""
+"""Comparison of a firmware's steps with the plan: the place of each axis, and the time."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from threadline.base.arrays import FloatArray, IntArray
 from threadline.motion.timing.types import Trajectory
 from threadline.readback.equal_found import Curve, thinned
 
-_FINE = 200_000  # instants at which a reference is looked at
+_FINE = 200_000  # instants at which a reference is sampled
 _MOST_PLACES = 50_000  # steps whose distance from the path is measured, evenly chosen
-_LOOKS = 48  # pieces of the path that each step is looked for on
+_LOOKS = 48  # pieces of the path on which each step is searched
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -25,13 +25,13 @@ class Steps:
 
     @property
     def made(self) -> IntArray:
-        """(n,) steps that the axis has made behind each step."""
+        """(n,) position of the axis after each step, in steps."""
         return np.cumsum(self.sense)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Beside:
-    """Steps beside a reference.
+    """The differences between steps and a reference.
 
     Parameters
     ----------
@@ -40,8 +40,8 @@ class Beside:
     axis, at_s
         Axis and instant of that step.
     late_s
-        Largest time by which a step comes when the reference was at its place, a step of place on
-        either side allowed, s.
+        Largest time between a step and the reference at the same place, s; the place may differ by
+        one step on either side.
     path_m, path_at_s
         Largest distance of a step from the path of the reference at the tool, m, and its instant.
     curve, path_curve
@@ -59,7 +59,7 @@ class Beside:
 
 
 def merged_steps(steps: Mapping[str, Steps], axes: Sequence[str]) -> tuple[FloatArray, IntArray]:
-    """Return (n,) instants of all steps in order, and (n, axes) steps made behind each."""
+    """Return (n,) instants of all steps in order, and (n, axes) positions after each, in steps."""
     moving = [(k, steps[axis]) for k, axis in enumerate(axes) if axis in steps]
     time_s = np.concatenate([own.time_s for _, own in moving] or [np.zeros(0)])
     change = np.zeros((len(time_s), len(axes)), dtype=np.int64)

@@ -103,7 +103,8 @@ def ramp_acceleration_m_s2(
     The needle makes ``v / length`` stitches a second throughout, so k stitches take ``k length /
     v`` and ``a = v^2 / (k length)``; the head travels ``k / 2`` stitch lengths in that time. The
     default is two stitches: the quality rule of the stitcher thesis does not judge the length of
-    two stitches next to a corner. Raises ValueError for a length or a number not above 0.
+    the two stitches next to a corner. Raises ValueError for a stitch length or number of stitches
+    not above 0.
     """
     _check(stitch_length_m, 0.0)
     _check(ramp_stitches, 0.0)
@@ -179,7 +180,7 @@ class SpeedProfile:
 
     @property
     def efficiency(self) -> float:
-        """Heat of the parabola / heat of this profile."""
+        """Heat of the parabola divided by the heat of this profile."""
         return _LEAST / self.mean_square_acceleration
 
     def rms_torque(
@@ -195,7 +196,7 @@ class SpeedProfile:
 
         The torque is ``inertia`` times acceleration, plus ``damping`` times speed, plus
         ``friction``; in the dwell it is 0. Over a move from rest to rest the products of
-        acceleration with speed and with friction average to 0, the product of speed and friction
+        acceleration with speed and with friction average to 0; the product of speed and friction
         does not. All arguments are in SI units of one coordinate, linear (N, m) or rotary (N m,
         rad).
         """

@@ -1,8 +1,9 @@
-"""Distances of eye, arm and free fibre from what turns, compiled: sample by sample of a run.
+"""Compiled distances of eye, arm and free fibre from all turning parts, sample by sample.
 
-Everything that turns is a body of revolution, so that the distance of a point in space is its
-distance in the plane through the axis: exact there. Along the arm and along the fibre the least
-distance is found between bounds, as a distance changes by no more than the point moves.
+Every turning part is a body of revolution, so that the distance of a point in space is exactly its
+distance in the plane through the axis. Along the arm and along the fibre the least distance is
+found by bounds: from one point of the line to another, the distance changes by no more than the
+points are apart.
 """
 
 from __future__ import annotations
@@ -17,8 +18,8 @@ from threadline.winding.eye import ahead, centre, turned
 from threadline.winding.surface import meridian
 
 LEAF = 16
-"""Chords of an outline that are tried together."""
-_EXACT_M = 1e-6  # of the least distance along a line
+"""Number of chords of an outline that share a bounding box."""
+_EXACT_M = 1e-6  # tolerance of the least distance along a line
 
 
 @njit(nogil=True)
@@ -87,12 +88,12 @@ def _along(
     best = most
     for k in range(2):
         found = _distance(a, b, float(k), which, line, boxes, rings, most)
-        if found == -math.inf:  # deeper inside than what was asked for
+        if found == -math.inf:  # deeper inside than the limit of the search
             found = _distance(a, b, float(k), which, line, boxes, rings, math.inf)
         best = min(best, found)
     if length == 0.0:
         return best
-    # Halves whose middles are to be tried; a half is left out as soon as it cannot be less.
+    # Intervals whose middles are to be tried; one is dropped as soon as it cannot hold less.
     low, high = np.empty(64), np.empty(64)
     low[0], high[0], count = 0.0, 1.0, 1
     while count:
@@ -116,7 +117,7 @@ def free_fibre(
     laid: FloatArray, q: FloatArray, table: tuple[FloatArray, FloatArray, FloatArray],
     payout: FloatArray, hint: int, at: FloatArray, to: FloatArray,
 ) -> int:  # fmt: skip
-    """Write the ends of the free fibre, (3,) each, on the machine; return the meridian's piece.
+    """Write the (3,) ends of the free fibre in machine coordinates; return the meridian's piece.
 
     ``laid`` begins with u and angle of the laid point; ``q`` is (6,) of the eye.
     """
@@ -173,7 +174,7 @@ def walk(
     least
         Least room of the samples before: rooms above it are of no interest.
     found
-        (n,) lengths, written; 0 where a sample was passed over.
+        (n,) written: lengths by which a sample is too near, m; 0 where a sample was passed over.
     pair
         (n,) written: three times the body, 0 for the mandrel, plus 0 for the eye, 1 for the arm, 2
         for the free fibre.

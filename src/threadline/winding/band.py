@@ -29,9 +29,9 @@ class Band:
     Parameters
     ----------
     width
-        m.
+        Width, m.
     thickness
-        m.
+        Thickness, m.
     tex
         Grams of fibre per kilometre.
     composite
@@ -48,12 +48,12 @@ class Band:
 
     @property
     def fibre_kg_m(self) -> float | None:
-        """Mass of the fibres of a metre of band."""
+        """Mass of the fibres in a metre of band, kg/m."""
         return None if self.tex is None else _KG_PER_TEX_M * self.tex
 
     @property
     def resin_kg_m(self) -> float | None:
-        """Mass of the resin in a metre of wound band."""
+        """Mass of the resin in a metre of wound band, kg/m."""
         if self.composite is None or self.thickness is None or self.fibre_volume is None:
             return None
         rest = self.width * self.thickness * (1.0 - self.fibre_volume)
@@ -72,7 +72,7 @@ def read_materials(reader: KeyReader, content: Mapping[str, Any]) -> Mapping[str
     Raises
     ------
     JobError
-        If a ``[[material]]`` is none; names the line.
+        If a ``[[material]]`` is not valid; the error names the line.
     """
     known = dict(library())
     rows = content.get("material", [])
@@ -96,7 +96,7 @@ def read_band(
     Raises
     ------
     JobError
-        If its keys contradict each other; names the line.
+        If its keys contradict each other; the error names the line.
     """
     reader.table = "band"
     thickness = reader.number(table, "thickness", "m", "0 mm").si or None
@@ -128,7 +128,7 @@ def own_band(
     Raises
     ------
     JobError
-        If its keys contradict the band's; names the line.
+        If its keys contradict the band's; the error names the line.
     """
     composite, tex = band.composite, band.tex
     if "material" in row:
@@ -151,7 +151,7 @@ def completed(reader: KeyReader, band: Band) -> Band:
     Raises
     ------
     JobError
-        If the keys contradict each other; names the line.
+        If the keys contradict each other; the error names the line.
     """
     composite = band.composite
     if composite is None:

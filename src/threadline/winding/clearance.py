@@ -1,4 +1,4 @@
-"""The clearance of a run: eye, arm and free fibre beside the growing mandrel and all that turns."""
+"""Clearance of a run: distances of eye, arm and free fibre from the mandrel and turning parts."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ from threadline.winding.taut import (
 
 _SAGITTA_M = 1e-6  # of a chord of the outline
 _MOST_CHORDS = 20_000
-_SAMPLES = 128  # of a run with one thickness of the layers
-_QUARTER = 0.25  # of the band, between two fibres that are compared with the layers
+_SAMPLES = 128  # samples of a run for which the layers keep one thickness
+_QUARTER = 0.25  # share of the band between two fibres that are compared with the layers
 _PLACES = 6  # in the width of a band, where a hollow is first looked for
 _CELLS = 512  # of the meridian for the thickness of layers
 
@@ -94,7 +94,7 @@ _PARTS = ("the eye", "the arm", "the free fibre")
 
 
 class Clearance:
-    """How far eye, arm and free fibre of a run come nearer to other bodies than allowed.
+    """Finds by how much eye, arm and free fibre of a run come too near to other bodies.
 
     Parameters
     ----------
@@ -105,9 +105,9 @@ class Clearance:
     tool
         The eye with its sizes.
     wanted_m
-        Distance that eye and arm keep; the fibre keeps off by any distance.
+        Least allowed distance of eye and arm, m; the fibre must only not touch.
     layer_m2
-        Section of the band, m2, with which the mandrel grows; 0 for a mandrel that does not.
+        Cross-section of the band, m2, by which the mandrel grows; 0: it does not grow.
     width_m
         Width of the band.
     """
@@ -243,7 +243,7 @@ class Clearance:
             first = stop
 
     def words(self, pair: int) -> str:
-        """Return in words which part comes too near to which body."""
+        """Say which part comes too near to which body."""
         if pair == 0 and self._least < 0.0:
             fit = f"it would fit with a radius {-1e3 * self._least:.3g} mm smaller"
             return f"the eye and the mandrel: {fit}"

@@ -1,7 +1,7 @@
-"""The pay-out point of an eye, compiled: on its carrier, and round its roller.
+"""Compiled pay-out point of an eye: fixed on its carrier, or where the fibre leaves its roller.
 
 Along, across and up are the directions of the machine. ``q`` and ``v`` are turn, along, across, up,
-yaw and roll, and their rates; ``payout`` is the one of ``laying.Tables``.
+yaw and roll, and their rates; ``payout`` is as in ``laying.Tables``.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from threadline.base.compiled import njit
 def turned(
     point: FloatArray, q: FloatArray, v: FloatArray
 ) -> tuple[float, float, float, float, float, float]:
-    """Return a vector on the eye's carrier, along, across and up on the machine, and its rate.
+    """Return a vector that is fixed on the eye's carrier, along, across and up, and its rate.
 
     ``q`` and ``v`` are turn, along, across, up, yaw and roll, and their rates.
     """
@@ -65,7 +65,7 @@ def _round_roller(
         (3,) direction of the roller's axis, positive on the side where the fibre passes, and its
         rate.
     radius
-        Of the roller, m; negative: the fibre passes on the other side.
+        Radius of the roller, m; negative: the fibre passes on the other side.
     """
     away = np.empty(3)
     d_away = np.empty(3)
@@ -103,10 +103,11 @@ def _round_roller(
 def ahead(
     x: float, r: float, psi: float, q: FloatArray, v: FloatArray, payout: FloatArray
 ) -> tuple[float, float, float, float, float, float, float]:
-    """Return the pay-out point as a laid point at x, r and the angle psi of the machine sees it.
+    """Return the pay-out point relative to a laid point at x, r and the machine's angle psi.
 
-    It is along, out and round, with the rates of each in the turning mandrel's frame, and the angle
-    at which the fibre leaves the roller, seen from its carrier; 0 without a roller.
+    The result is its distance along, out and round; the rates of each in the turning mandrel's
+    frame; and the angle at which the fibre leaves the roller, seen from its carrier, 0 without a
+    roller.
     """
     along, across, up, d_along, d_across, d_up = centre(q, v, payout)
     cos, sin = math.cos(psi), math.sin(psi)

@@ -1,11 +1,12 @@
 """Mandrel, band and layers of FiberPath's ``.wind`` 1.x, a JSON document with a published format.
 
-It has a cylinder, cone or Von Karman nose of ``windLength`` from place 0, one tow, and layers. A
-helical layer has ``windAngle`` at place 0 and N = ceil(2 pi R cos(a) / width) circuits, R of the
-bare mandrel. Each circuit goes 2 ``lockDegrees`` + 360 ``skipIndex`` / ``patternNumber`` degrees
-further, and after every ``patternNumber`` circuits 360 / N more. So all circuits of a layer are
-alike if ``patternNumber`` is N: their shift is N ``lockDegrees`` / 180 + ``skipIndex`` (mod N).
-The format has no place for friction, for dwells and for the way of the fibre in a turn.
+A file describes a cylinder, cone or Von Karman nose of the length ``windLength`` from place 0, one
+tow, and layers. A helical layer has the angle ``windAngle`` at place 0 and N = ceil(2 pi R cos(a) /
+width) circuits, where R is the radius of the bare mandrel. Each circuit advances by 2
+``lockDegrees`` + 360 ``skipIndex`` / ``patternNumber`` degrees, and after every ``patternNumber``
+circuits by 360 / N more. So all circuits of a layer are alike if ``patternNumber`` is N: their
+shift is N ``lockDegrees`` / 180 + ``skipIndex`` (mod N). The format has no field for friction, for
+dwells and for the path of the fibre in a turn.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ NAMED = f"friction {FRICTION:g} assumed"
 _MAX_BYTES = 20_000_000
 _BANDS = 2.0  # widths of the band by which a mandrel is longer than FiberPath's winding length
 ANGLES = 1.0, 89.0
-"""Winding angles of a helical layer, degrees."""
+"""Least and largest winding angle of a helical layer, degrees."""
 _SPARE = 1.05  # times the room for a turn by friction
 _WHOLE = 1e-6
 
@@ -37,14 +38,14 @@ Content = dict[str, Any]
 
 
 class WindFile:
-    """A ``.wind`` with its checks; members that are not known are not looked at.
+    """A checked ``.wind`` file; unknown members are ignored.
 
     Lengths are in mm and angles in degrees, as in the file.
 
     Raises
     ------
     JobError
-        If the file cannot be read, or is no definition 1.x.
+        If the file cannot be read, or is no winding definition of version 1.x.
     """
 
     def __init__(self, path: Path) -> None:
@@ -84,7 +85,8 @@ class WindFile:
         Parameters
         ----------
         room
-            Length for turns at each open end, mm, beyond the two bands that every mandrel gets.
+            Additional length for the turns of the fibre at each open end, mm, beyond the two band
+            widths that every mandrel gets.
         """
         radius, length, width, end = self.radius, self.long, self.width, self.end
         more = _BANDS * width + room
@@ -157,10 +159,10 @@ def circuits_of(radius_mm: float, width_mm: float, angle_deg: float) -> int:
 
 
 def layered(path: Path, margin: float) -> Content:
-    """Return the content of a product file with layers, of a ``.wind``.
+    """Return the content of a product file, with its layers, for a ``.wind`` file.
 
-    FiberPath turns the fibre within ``windLength`` by friction that it does not name; here the
-    mandrel is longer at its open ends by the length of such a turn.
+    FiberPath turns the fibre back within ``windLength``, by a friction that the file does not give;
+    here the mandrel is longer at its open ends by the length of such a turn.
 
     Parameters
     ----------
@@ -170,7 +172,8 @@ def layered(path: Path, margin: float) -> Content:
     Raises
     ------
     JobError
-        If the file cannot be read, or has a layer that cannot be wound here; names the layer.
+        If the file cannot be read, or has a layer that cannot be wound here; the error names the
+        layer.
     """
     wind = WindFile(path)
     rows = wind.content.get("layers")
@@ -195,7 +198,7 @@ def layered(path: Path, margin: float) -> Content:
 def _row(
     wind: WindFile, number: int, row: Mapping[str, Any], begin: float, wide: float
 ) -> dict[str, Any]:
-    """Return a ``[[layer]]`` whose angle counts at the radius ``wide``, mm."""
+    """Return a ``[[layer]]`` whose angle holds at the radius ``wide``, mm."""
     kind = row.get("windType")
     if kind == "hoop":
         if row.get("terminal", False):

@@ -1,4 +1,4 @@
-"""Why the fibre of a program is never known, and the radius of a mandrel that would fit it."""
+"""Why the place of a program's fibre is never known, and which mandrel radius would fit."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from threadline.winding.surface import Surface
 _MOST = 4000  # positions of the eye with which radii are tried
 _TRIED, _FINER, _ROUNDS = 15, 5, 3
 _OFF_M = 5e-4  # between the eye and the largest mandrel that is tried
-_ALL = 0.99  # of the fibre within the friction
+_ALL = 0.99  # share of the fibre that must be steered within the friction
 _NO_FRICTION_LIMIT = 1e9
-_NEARLY = 0.25, 3.0  # bands by which a pattern is nearly closed
+_NEARLY = 0.25, 3.0  # band widths by which a pattern that is nearly closed misses its begin
 _TURNED = 1e-3  # rad; less is no turn
 
 
@@ -27,7 +27,7 @@ class Witness:
     Parameters
     ----------
     surface
-        Of the mandrel.
+        Surface of the mandrel.
     payout_m
         Along, across and up from the eye's carrier to the pay-out point at yaw and roll 0, m.
     """
@@ -47,7 +47,7 @@ class Witness:
 
     @property
     def room_m(self) -> float:
-        """Least distance outwards between mandrel and eye, negative inside; infinite if beside."""
+        """Least radial distance from mandrel to eye, m; negative inside, infinite if beside."""
         return self._room_m
 
     def take(self, eyes: FloatArray, fibre: Fibre) -> None:
@@ -88,7 +88,7 @@ class Witness:
         self._free_m = min(self._free_m, float(np.nanmin(fibre.free_m, initial=np.inf)))
 
     def _places(self, eyes: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return where the pay-out point is along, across and up, m, as ``eye.centre`` has it."""
+        """Return the pay-out point along, across and up, m, as ``eye.centre`` computes it."""
         sin, cos = np.sin(eyes[:, 4:6]), np.cos(eyes[:, 4:6])
         x, y, z = self._payout_m
         rolled, up = x * cos[:, 1] + z * sin[:, 1], z * cos[:, 1] - x * sin[:, 1]
@@ -99,7 +99,7 @@ class Witness:
         )
 
     def reason(self) -> str:
-        """Return in words why the fibre is never known."""
+        """Explain why the place of the fibre is never known."""
         if not self._turn[1] - self._turn[0] > _TURNED:
             return "the mandrel never turns, so that nothing is laid"
         if self._beside == self._count:
@@ -121,7 +121,7 @@ class Witness:
         )
 
     def fit(self, tool: Tool, friction: float, tied: float | None) -> str:
-        """Return in words which radius of the mandrel would fit the program; else nothing."""
+        """Say which radius of the mandrel would fit the program; empty if none is found."""
         if not self.eyes or not self._turn[1] - self._turn[0] > _TURNED:
             return ""
         eyes = np.vstack(self.eyes)[:_MOST]
@@ -142,15 +142,15 @@ def fitting_radius(
 ) -> float | None:  # fmt: skip
     """Return by how much a mandrel's radius would have to be larger to fit a program, m.
 
-    Radii are tried; the best is where the fibre is steered least. None if the mandrel itself fits
-    as well, or none fits within the friction.
+    Several radii are tried; the best one has the least mean steering. Returns None if the mandrel's
+    own radius is about as good, or no radius keeps the steering within the friction.
 
     Parameters
     ----------
     eyes
         (n, 6) coordinates of the eye from the mandrel's left end.
     room_m
-        Least distance outwards between mandrel and eye, m.
+        Least radial distance from mandrel to eye, m.
     """
 
     def steered(by: float) -> tuple[float, float]:
@@ -191,14 +191,15 @@ def fitting_radius(
 
 
 def turn_error(off: float, whole: float, bands: float) -> str:
-    """Return in words which error of the turn leaves a pattern nearly closed.
+    """Say which error of the mandrel's turn would leave a pattern nearly closed; empty if none.
 
     Parameters
     ----------
     off, whole
-        Angle by which the next circuit would lie beside the first, and of all circuits, rad.
+        Angle by which the circuit after the last one would miss the first one, and angle of all
+        circuits, rad.
     bands
-        The same in widths of the band.
+        ``off`` in widths of the band.
     """
     if not _NEARLY[0] < bands < _NEARLY[1]:
         return ""

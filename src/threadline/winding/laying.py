@@ -1,10 +1,11 @@
-"""The laying of a fibre, compiled: from the motion of the eye to the place of the fibre.
+"""Compiled laying of the fibre: from the motion of the payout eye to the place of the fibre.
 
 The fibre leaves the mandrel along its tangent t, and the eye is at the free length L along it. With
-n inwards, b = n x t and the eye's velocity v relative to the turning mandrel, the fibre is laid at
-``s' = (v . n) / (L k_n)`` and steered by ``k_g / k_n = (v . b) / (v . n)``. Only the place of the
-point that is laid is integrated. Its direction is the direction to the eye. After each step a
-Newton step along the fibre puts the eye back into the tangent plane, so that no error adds up.
+the normal n inwards, b = n x t and the eye's velocity v relative to the turning mandrel, the fibre
+is laid at ``s' = (v . n) / (L k_n)`` and steered by ``k_g / k_n = (v . b) / (v . n)``. Only the
+place of the laid point is integrated; the direction of the fibre there is the direction to the eye.
+After each step a Newton step along the fibre puts the eye back into the tangent plane, so that
+errors do not add up.
 """
 
 from __future__ import annotations
@@ -20,23 +21,25 @@ from threadline.winding.eye import ahead, centre
 from threadline.winding.surface import meridian
 
 LAID, LIFTED, BRIDGED, OFF, WAITING, SUNK = range(6)
-"""States of a block: laid, unwound, over a hollow, off the end of the mandrel, nothing laid yet, no
-straight fibre from the eye to the mandrel: the eye is inside."""
+"""States of a block, in this order: fibre laid; fibre unwound; fibre over a hollow; fibre off the
+end of the mandrel; nothing laid yet; the eye is inside the mandrel, so that no straight fibre leads
+to it.
+"""
 KNOWN_AFTER = 5.0
-"""Free lengths after which a wrong start is forgotten: exp(-5) of it is left, below 1 %."""
-_ROTATION = 0.08  # rad of a step
-_SHARE = 0.12  # of the free length, of a step
-_BENT = 0.15  # rad that the fibre turns in a step
+"""Free lengths after which a wrong start no longer counts: exp(-5) of its error is left."""
+_ROTATION = 0.08  # rad, largest rotation in a step
+_SHARE = 0.12  # largest motion of the eye in a step, as a share of the free length
+_BENT = 0.15  # rad, largest bend of the fibre in a step
 _MOST_STEPS = 10_000  # in a block
-_SLACK_M = 5e-5  # unwound in one go: less is no lifting, as a tow is thicker
-_FLAT = 1e-6  # 1/m, the least normal curvature that a fibre lies on
+_SLACK_M = 5e-5  # length unwound in one go; less is no lifting, as a tow is thicker
+_FLAT = 1e-6  # 1/m, least normal curvature on which a fibre lies
 _WINDOW_M = 5e-4  # a block that lays less than this is judged with the blocks after it
 _ALONG = 48  # places along the free fibre where it is compared with the mandrel
 _ROUNDS = 8  # Newton steps to a tangent of mandrel and roller
 _TAUT = 0.02  # rad between the fibre and the tangent plane: a taut fibre is in it
-_LOOKS = 16  # in vain in a row, block by block, before the eye has to go on between them
-_WAIT_M = 1e-3  # way of the eye before the next look, doubled with every look in vain
-_WAIT_SHARE = 0.25  # of the distance of the eye from the axis: the longest such way
+_LOOKS = 16  # failed searches in successive blocks, before the eye must move on between searches
+_WAIT_M = 1e-3  # travel of the eye before the next search, doubled by each failed search
+_WAIT_SHARE = 0.25  # longest such travel, as a share of the eye's distance from the axis
 _TOUCH_M = 1e-6  # a free fibre that is this much below the surface touches it
 
 
@@ -46,13 +49,14 @@ class Tables(NamedTuple):
     Parameters
     ----------
     nodes, x, r
-        As ``Surface``.
+        The meridian, as in ``Surface``.
     payout
-        (10,) along, across and up from the carrier at yaw and roll 0: the pay-out point or the
-        centre of the roller, m; the roller's axis; and, after the radius of the roller, m, the
-        direction across. The radius is negative where the fibre passes on the minus side.
+        (10,) components along, across and up from the carrier at yaw and roll 0. [0:3]: the pay-out
+        point or the centre of the roller, m; [3:6]: axis of the roller; [6]: radius of the roller,
+        m, negative where the fibre passes on the minus side; [7:10]: the direction across.
     friction
-        Coefficient of friction, above which the place of the fibre is not known.
+        Coefficient of friction; where the steering exceeds it, the fibre slips and its place is not
+        known.
     convex
         Whether no straight line touches the mandrel in two places.
     """
@@ -68,7 +72,7 @@ class Tables(NamedTuple):
 class Laid(NamedTuple):
     """The fibre laid in each of n blocks; see ``replay.Fibre`` for the meaning.
 
-    ``state`` is (n,), the others are (n, columns).
+    ``state`` is (n,), ``place`` (n, 10), ``steer`` (n, 3).
     """
 
     state: IntArray
@@ -82,10 +86,10 @@ def _rates(
 ) -> int:
     """Write the rates of laying at a place into ``out``; return the piece of the meridian.
 
-    ``out`` becomes: rates of u and of the angle, rate of laying, v . b, v . n, k_n, free length,
-    cosine and sine of the fibre's angle with the meridian, distance of the eye behind the tangent
-    plane, radius, place along the axis, v . t, length along the meridian per u, angle of the fibre
-    on the roller.
+    The 15 numbers of ``out`` become: rates of u and of the angle, rate of laying, v . b, v . n,
+    k_n, free length, cosine and sine of the fibre's angle with the meridian, distance of the eye
+    behind the tangent plane, radius, place along the axis, v . t, length along the meridian per u,
+    angle of the fibre on the roller.
     """
     hint, x, r, cb, sb, bend, speed = meridian(tables.nodes, tables.x, tables.r, u, hint)
     dx, dr, ec, vx, vr, vc, wrap = ahead(x, r, theta + q[0], q, v, tables.payout)
@@ -128,9 +132,10 @@ def _steps(ds: float, out: FloatArray, v: FloatArray, radius: float) -> int:
 def _at(
     x: float, place: float, tables: Tables, hint: int
 ) -> tuple[int, float, float, float, float]:
-    """Return piece, u, x, radius and cosine of the meridian at a place along the axis, or its end.
+    """Return piece, u, x, radius and cosine of the meridian at the axial place ``x``.
 
-    ``place`` and ``hint`` are a u and a piece nearby.
+    Beyond an end of the mandrel they are the values at that end. ``place`` and ``hint`` are a
+    nearby u and its piece.
     """
     # Along the meridian x increases.
     while hint < len(tables.x) - 1 and tables.x[hint + 1, 0] <= x:
@@ -190,8 +195,8 @@ def _step(
 ) -> tuple[float, float, float, int]:  # fmt: skip
     """Return place, angle, laid length and piece after a step of the share ``h`` of a block.
 
-    The rows of ``work`` become the rates at the start, twice in the middle, at the end, and at the
-    place that was found; the first has to be there already.
+    The rows of ``work`` hold the rates at the start (the caller sets this row), twice in the
+    middle, at the end, and at the corrected place.
     """
     w = work[5, :6]
     for j in range(6):
@@ -208,7 +213,7 @@ def _step(
     ds = h / 6.0 * (work[0, 2] + 2.0 * work[1, 2] + 2.0 * work[2, 2] + work[3, 2])
     u += h / 6.0 * (work[0, 0] + 2.0 * work[1, 0] + 2.0 * work[2, 0] + work[3, 0])
     theta += h / 6.0 * (work[0, 1] + 2.0 * work[1, 1] + 2.0 * work[2, 1] + work[3, 1])
-    # Twice: the first correction leaves the square of its size.
+    # Two corrections: the first one leaves an error of the square of its size.
     for _ in range(2):
         hint = _rates(u, theta, w, v, tables, hint, work[4])
         free = work[4, 6]
@@ -230,15 +235,15 @@ def lay(  # noqa: PLR0915 - one loop over the blocks; calls would cost a third o
     eyes
         (n + 1, 6) turn, along, across, up, yaw and roll at the ends of n blocks, linear between.
     group
-        (n + 1,) blocks of equal consecutive numbers are steered together; the last is the number of
-        the block behind them.
+        (n + 1,) group number of each block: the steering is averaged over consecutive blocks of a
+        group. The last entry is the group of the block after them.
     tables
         Mandrel and eye.
     start
-        (12,) state, which is updated: u, angle, laid length, free lengths since it was unknown,
-        length unwound since the fibre was last laid, piece of the meridian, slack; steering, laid
-        length, least and largest steering since the last mean; 1 if the fibre was known when it
-        began to be unwound.
+        (12,) state, which is updated: u, angle, laid length, free lengths laid since the place was
+        unknown, length unwound since the fibre was last laid, piece of the meridian, slack;
+        steering times laid length, laid length, least and largest steering since the last mean; 1
+        if the place of the fibre was known when unwinding began.
     laid
         The fibre laid in each block; rows from ``first`` on are written.
     first
@@ -348,10 +353,11 @@ def lay(  # noqa: PLR0915 - one loop over the blocks; calls would cost a third o
 def leads(
     eye: FloatArray, state: FloatArray, tables: Tables, work: FloatArray, found: FloatArray
 ) -> None:
-    """Write the fibre that the eye gives out per change of each of its coordinates.
+    """Write the length of fibre that the eye pays out per change of each of its coordinates.
 
-    The laid point moves along the fibre alone, so this length changes as the pay-out point moves
-    along it, seen from the turning mandrel. A tension T pulls at coordinate k with ``-T found[k]``.
+    The laid point moves only along the fibre, so this length changes as the pay-out point moves
+    along the fibre, seen from the turning mandrel. A tension T acts on coordinate k with the force
+    or torque ``-T found[k]``.
 
     Parameters
     ----------
@@ -360,7 +366,7 @@ def leads(
     state
         (12,) as in ``lay``.
     work
-        (2, 15) room.
+        (2, 15) work space.
     found
         (6,) m per m or rad.
     """
@@ -375,7 +381,7 @@ def leads(
 
 @njit(nogil=True)
 def looks(eye: FloatArray, rate: FloatArray, tables: Tables, places: FloatArray) -> FloatArray:
-    """Return, for places u and both sides, where the eye sees the mandrel edge-on.
+    """Return the tangents from the eye to the mandrel at places u, on both sides of the axis.
 
     Parameters
     ----------
@@ -387,7 +393,7 @@ def looks(eye: FloatArray, rate: FloatArray, tables: Tables, places: FloatArray)
     Returns
     -------
     FloatArray
-        (m, 2, 3) angle, v . n and v . b of the tangents from the eye; NaN where there is none.
+        (m, 2, 3) angle, v . n and v . b of each tangent; NaN where there is none.
     """
     found = np.full((len(places), 2, 3), np.nan)
     out = np.empty(15)
@@ -403,7 +409,7 @@ def looks(eye: FloatArray, rate: FloatArray, tables: Tables, places: FloatArray)
         for side in range(2):
             theta = at - math.acos(cos) if side == 0 else at + math.acos(cos)
             hint = _rates(places[i], theta, eye, rate, tables, hint, out)
-            # Round a roller the pay-out point depends on the place.
+            # On a roller the pay-out point depends on the place of the tangent.
             for _ in range(_ROUNDS if tables.payout[6] != 0.0 else 0):
                 back = out[9] / (cb * out[6] * out[8])
                 theta += min(max(back, -0.3), 0.3)
@@ -419,17 +425,18 @@ def looks(eye: FloatArray, rate: FloatArray, tables: Tables, places: FloatArray)
 def first_look(
     chain: FloatArray, at: int, tables: Tables, places: FloatArray, waited: FloatArray
 ) -> tuple[int, int, float]:
-    """Return the first block from ``at`` on in which the eye can lay, the place and the angle.
+    """Return the first block from ``at`` on in which the eye can lay, row of place, angle.
 
-    It is the place with the least steering; the block is the number of blocks if there is none. An
-    eye beside the mandrel sees it edge-on in every block and loses the fibre at once, so after
-    ``_LOOKS`` looks in vain it has to go on by a share of a free length before the next one.
+    Of all ``places`` with a tangent the one with the least steering is taken. Without any, the
+    block is the number of blocks and the row is -1. An eye beside the mandrel finds tangents in
+    every block and loses the fibre at once. After ``_LOOKS`` searches in a row the eye must
+    therefore travel for a while before the next search (``_WAIT_M``, ``_WAIT_SHARE``).
 
     Parameters
     ----------
     waited
-        (2,) state, which is updated: looks since fibre was laid over a whole block, and way of the
-        eye since the last look, m.
+        (2,) state, which is updated: searches since fibre was laid over a whole block, and travel
+        of the eye since the last search, m.
     """
     count = len(chain) - 1
     for block in range(at, count):

@@ -155,7 +155,7 @@ def read_section(path: Path, layer: str | None = None) -> list[list[list[float]]
 
 
 def _stretch(pieces: Pieces, index: int, file: str) -> Stretch | None:
-    """Return a piece of a drawing from left to right; None for one beside the meridian."""
+    """Return a piece of a drawing from left to right; None if it is no part of the meridian."""
     place = Place(file, int(pieces.line[index]))
     straight = bool(pieces.is_line[index])
     count = 2 if straight else _NODES

@@ -1,11 +1,12 @@
 """Mandrels and bands from files of other planners: FiberPath's (``fiberpath.py``), and CADFIL's.
 
-CADFIL's help describes the fibre path ``.FIB`` and the payout path ``.PAY`` field by field; of a
-control file ``.CTL`` it says that it lists payout files. CADFIL 9 adds lines that the help does not
-describe: settings, ``$NAME=VALUE``, and notes, ``ANR...``. They are passed over. Its ``.FIB`` has
-the number of points behind NELE. A path of CADFIL shows the mandrel only where its fibre lies, and
-points that CADFIL puts between its own lie on chords below the mandrel. So the mandrel is read from
-the mandrel file ``.MND`` that every path names, where it stands beside the path.
+CADFIL's help describes the fibre path ``.FIB`` and the payout path ``.PAY`` field by field, and
+says that a control file ``.CTL`` lists payout files. CADFIL 9 adds lines that the help does not
+describe: settings, ``$NAME=VALUE``, and notes, ``ANR...``. These lines are skipped. In its ``.FIB``
+the number of points follows NELE. A path of CADFIL shows the mandrel only where its fibre lies, and
+points that CADFIL inserts between the computed points lie on chords below the mandrel. So the
+mandrel is read from the mandrel file ``.MND`` that every path names, if this file is in the folder
+of the path.
 """
 
 from __future__ import annotations
@@ -40,7 +41,7 @@ _NAME = re.compile(r"[^\s,;\"']+")
 
 
 def foreign_product(path: Path) -> Content:
-    """Return the content of a product file (``product.py``) with what another planner's file says.
+    """Return the content of a product file (``product.py``) from the file of another planner.
 
     Raises
     ------
@@ -71,7 +72,7 @@ def foreign_product(path: Path) -> Content:
 
 
 def meridian_of(path: Path) -> list[list[float]]:
-    """Return places along the axis and radii, m, of a mandrel of CADFIL, or of that under a path.
+    """Return places along the axis and radii, m, of CADFIL's mandrel, or of the one under a path.
 
     Raises
     ------
@@ -98,9 +99,9 @@ def _mandrel_of(paths: Sequence[Path]) -> list[list[list[float]]] | None:
 def _mandrel(path: Path) -> list[list[list[float]]]:
     """Return the parts of the mandrel in a mandrel file, each of points, m, from left to right.
 
-    After the head and the number of points each line has place, radius, number of extra points up
-    to the next point, and the radius of an arc up to it. Extra points divide a line: it is a part
-    of its own. Points on the axis are left out.
+    After the head and the number of points, each line has place, radius, number of extra points up
+    to the next point, and the radius of an arc up to it. Extra points subdivide a line, which
+    becomes a part of its own. Points on the axis are left out.
     """
     rows = _rows(path)
     if not rows or not rows[0][1].strip().upper().startswith(_MANDREL):
@@ -161,10 +162,10 @@ def _mandrel(path: Path) -> list[list[list[float]]]:
 
 
 def _seen(paths: Sequence[np.ndarray]) -> np.ndarray:
-    """Return (n, 3) points of several paths, of each only those beyond the ends of finer ones.
+    """Return (n, 3) points of several paths; each adds only points beyond the ends of finer paths.
 
-    A path with more points has nearly none on chords below the mandrel, up to some 0.2 mm in
-    CADFIL's joining paths: points of both would make a jagged mandrel.
+    A path with more points has nearly none on chords below the mandrel; in CADFIL's joining paths
+    such points lie up to some 0.2 mm below it. Points of both would make a jagged mandrel.
     """
     finest, *others = sorted(paths, key=len, reverse=True)
     found = finest
@@ -203,7 +204,7 @@ def _listed(path: Path) -> Iterator[Path]:
 
 
 def _rows(path: Path) -> list[tuple[int, str]]:
-    """Return the lines that hold something, with their numbers."""
+    """Return the lines with content, but for settings and notes, with their numbers."""
     text = read_text(path, _MAX_BYTES, JobError, "file of CADFIL", "latin-1")
     return [
         (number, line)
@@ -213,7 +214,7 @@ def _rows(path: Path) -> list[tuple[int, str]]:
 
 
 def _numbers(path: Path, line: str, number: int, widths: Sequence[int], least: int) -> list[float]:
-    """Return the numbers of a line, parted by blanks or by the widths of Fortran's columns."""
+    """Return the numbers of a line, separated by blanks or by the widths of Fortran's columns."""
     words = line.split()
     if len(words) < least:
         ends = np.cumsum(widths).tolist()
@@ -283,7 +284,7 @@ def _cadfil_points(path: Path) -> np.ndarray:
 
 
 def _meridian(points_mm: np.ndarray, path: Path) -> list[list[float]]:
-    """Return the meridian under points, left to right; points at one place are one."""
+    """Return the meridian under points, left to right; points at one place are averaged."""
     x, r = 1e-3 * points_mm[:, 0], 1e-3 * np.hypot(points_mm[:, 1], points_mm[:, 2])
     order = np.argsort(x, kind="stable")
     x, r = x[order], r[order]

@@ -54,11 +54,12 @@ class Product:
     Parameters
     ----------
     name
-        For people.
+        Name, for messages and reports.
     file
         Its file, for messages.
     text
-        Its content with the tables of its mandrel, on one line; ``product_of_text`` reads it.
+        Content of the file with the tables of the mandrel, on one line; ``product_of_text`` reads
+        it.
     surface
         The mandrel in its own coordinate: its left end is at 0.
     at
@@ -66,12 +67,11 @@ class Product:
     radius_error
         Amount by which the mandrel's radius is larger than drawn, m, with its tolerance.
     slip
-        Share by which the mandrel stays behind the axis that turns it: a slip of 3.6 deg a turn is
-        0.01.
+        Share by which the mandrel lags the axis that turns it: a slip of 3.6 deg a turn is 0.01.
     rings
         Shaft, bosses and rings of pins, placed from the mandrel's left end.
     width, thickness
-        Of the band, m; the thickness is None if unknown.
+        Width and thickness of the band, m; the thickness is None if unknown.
     friction
         Coefficient of friction between fibre and mandrel.
     band
@@ -83,7 +83,7 @@ class Product:
     clearance
         Least distance between eye and mandrel, m; None if it may be anything above 0.
     covered
-        Places on the mandrel between which it is covered, m; None for no coverage.
+        Places on the mandrel between which bands must cover it, m; None: no coverage is required.
     gap
         Largest allowed gap between bands, m.
     """
@@ -110,8 +110,9 @@ class Product:
 def product_text(given: str | Path) -> str:
     """Return the content of a product file on one line, with the tables of its mandrel.
 
-    A file of FiberPath or CADFIL is read for its mandrel and its band (``other_planners.py``). A
-    text that was returned before is returned unchanged, so that a recording keeps its product.
+    From a file of FiberPath or CADFIL only mandrel and band are read (``other_planners.py``). A
+    text that this function returned before is returned unchanged, so that a recording keeps its
+    product.
 
     Raises
     ------
@@ -154,7 +155,7 @@ def _one_line(path: Path, content: Mapping[str, Any]) -> str:
 
 
 def _embed(part: dict[str, Any], folder: Path, reader: ProductReader) -> None:
-    """Put the content of a part's file in place of its name."""
+    """Replace the name of a part's file by the content of the file."""
     name = part.pop("file")
     layer = part.pop("layer", None)
     if name.lower().endswith(".dxf"):
@@ -197,7 +198,7 @@ class ProductReader(MandrelReader):
     """Reads the content of a product file."""
 
     def product(self, content: Any) -> Product:
-        """Return the product of the content of a file."""
+        """Return the product that the content of a file describes."""
         if not isinstance(content, dict):
             self.refuse("", "a product is a table", _EXAMPLE)
         self.known(content, (*TABLES[""], "layer"))
@@ -331,8 +332,8 @@ def digest(product: Product) -> str:
 def with_mandrel(machine: Machine, product: str | None) -> Machine:
     """Return ``machine`` with the mandrel of a product mounted, if it has a spool to unwind.
 
-    Radius, place and slip come from the file, without their tolerances; the layers that grow on
-    the mandrel are left out, as in the replay.
+    Radius, place and slip come from the file, without their tolerances; the friction is the lowest
+    within its tolerance. The layers that grow on the mandrel are left out, as in the replay.
 
     Parameters
     ----------

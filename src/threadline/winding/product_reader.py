@@ -1,4 +1,4 @@
-"""The keys of a product file, with lines, numbers and refusals, and the parts of its mandrel."""
+"""Reader of the keys of a product file, with the lines for errors, and of its mandrel's parts."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ TABLES: Mapping[str, tuple[str, ...]] = {
 }
 _LISTS = ("part", "boss", "pin", "layer", "material")
 _NUMBER = re.compile(r"(?P<value>.+?)(?:\s*(?:\+-|\+/-|±)\s*(?P<tolerance>.+))?")
-_LEAST_M = 1e-6  # of every size of a part: less is no part
+_LEAST_M = 1e-6  # least size of a part
 _PARTS: Mapping[str, tuple[str, ...]] = {
     "cylinder": ("radius", "length"),
     "cone": ("radius", "end_radius", "length"),
@@ -68,7 +68,7 @@ class Toleranced:
 
 @dataclass(slots=True)
 class KeyReader:
-    """Reads keys of a product file; knows the line of each key while the file is there."""
+    """Reads keys of a product file; errors name the line of a key if the text is given."""
 
     file: str
     written: str
@@ -81,7 +81,7 @@ class KeyReader:
         raise JobError(message, place=Place(self.file, self.line_of(key)), remedy=remedy)
 
     def line_of(self, key: str) -> int:
-        """Return the line of a key in the present table, of the table without it, or 0."""
+        """Return the line of a key in the present table; else the line of the table; else 0."""
         table, header, count = "", 0, dict.fromkeys(_LISTS, -1)
         for number, row in enumerate(self.written.splitlines(), start=1):
             opened = re.match(r"\s*\[\[?\s*([A-Za-z_]+)\s*\]", row)
@@ -103,7 +103,7 @@ class KeyReader:
                 self.refuse(key, f"unknown key {key[:60]!r}", nearest(key, keys))
 
     def table_of(self, content: Mapping[str, Any], name: str) -> Mapping[str, Any]:
-        """Return a table of the file, empty without it; its keys are read from now on."""
+        """Return a table of the file, empty if it is missing; it becomes the present table."""
         self.table = name
         found = content.get(name, {})
         if not isinstance(found, dict):
@@ -115,7 +115,7 @@ class KeyReader:
     def number(
         self, content: Mapping[str, Any], key: str, unit: str, default: str | None
     ) -> Toleranced:
-        """Return the number of a key of the present table, in SI; None as default: it must be."""
+        """Return a number of the present table, in SI; with the default None it is required."""
         text = content.get(key, default)
         usual = _LIKE.get(key, "0.25 +- 0.05" if not unit else "5 mm +- 0.3 mm")
         like = f'Write {key} = "{usual}".'

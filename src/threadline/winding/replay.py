@@ -1,12 +1,13 @@
-"""Replay: from the positions of axes to the place of the fibre on its mandrel.
+"""Replay of a winding: from the positions of the axes to the place of the fibre on its mandrel.
 
-Nothing of a planner is read. The start of the fibre is searched for where the eye sees the mandrel
-edge-on, and forgotten after five free lengths. Until the mandrel begins to turn, nothing is laid.
+The replay reads nothing from a planner. It guesses the start of the fibre at a tangent from the eye
+to the mandrel; after five laid free lengths the guess no longer counts. Nothing is laid until the
+mandrel begins to turn.
 
-A controller writes a sample every few milliseconds, in which the eye moves a tenth of a millimetre.
-The replay takes the axes as linear between two positions, so it needs a new position only where
-they are not: samples between them lie on straight lines, within 5 um. Positions are dropped by
-``Thinning``, never changed.
+A controller records a sample every few milliseconds, in which the eye moves about a tenth of a
+millimetre. The replay interpolates the axes linearly between positions, so ``Thinning`` drops the
+samples that lie within 5 um of a straight line between the kept positions. It never changes a
+position.
 """
 
 from __future__ import annotations
@@ -38,20 +39,21 @@ from threadline.winding.laying import (
 from threadline.winding.surface import Surface
 
 STRAIGHT_M = 5e-6
-"""Largest distance of a dropped position from the line between those that are kept, in each axis: a
-rotary axis counts by the largest radius of the mandrel. An axis that hunts between two counts of
-its encoder is straight within it."""
+"""Largest distance, in each axis, of a dropped position from the line between the kept positions. A
+rotary axis counts at the largest radius of the mandrel. An axis that hunts between two counts of
+its encoder stays within this distance.
+"""
 LONGEST_M = 1e-3
-"""Longest move of the axes between two positions that are kept, unless they are neighbours."""
-_BEGIN_M = 1e-7  # the same until the mandrel has turned by LONGEST_M: where a fibre begins counts
+"""Longest move of the axes between two kept positions, unless they are neighbours."""
+_BEGIN_M = 1e-7  # replaces STRAIGHT_M until the mandrel turned by LONGEST_M: the start matters
 _ANGLES = (0, 4, 5)  # turn, yaw and roll among the parts of an eye
 
 GUESSES = 801
-"""Places along the meridian where a start is looked for."""
+"""Number of places along the meridian at which a start is tried."""
 STATE = 12
-"""Numbers of a state of ``laying.lay``."""
+"""Length of the state of ``laying.lay``."""
 TURNED_M = 1e-4
-"""At the largest radius, m; until the mandrel has turned so far, the fibre is only tied."""
+"""Travel of the largest radius, m; until the mandrel has turned so far, the fibre is only tied."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -69,20 +71,22 @@ class Fibre:
     free_m
         (n,) longest free length of the block.
     known
-        (n,) whether five free lengths were laid since the place was last not known.
+        (n,) whether five free lengths have been laid since the place was last unknown.
     lifted_m
-        (n,) fibre that was unwound in one go until then, if it was known when that began.
+        (n,) length unwound in one go up to the block, if the place was known when that began; else
+        0.
     bridge_m
         (n,) height of the fibre over the hollow that it bridges.
     used_m
-        (n,) fibre that the eye gave out; negative: took back.
+        (n,) length that the eye paid out in the block; negative: it took fibre back.
     slack_m
-        (n,) slack that the eye has given back and not yet taken again.
+        (n,) slack that the eye has released and not yet taken up.
     winding
         (n,) angle between fibre and meridian, rad: 0 along the axis, positive round it.
     steer, least, most
-        (n,) mean of k_g / k_n of the block, and its least and largest value; NaN for a block that
-        is taken together with the blocks after it.
+        (n,) mean of the steering k_g / k_n over a group of blocks, NaN for a block that is judged
+        with the blocks after it; least and largest value in the group so far, inf and -inf without
+        any.
     """
 
     state: IntArray
@@ -161,14 +165,15 @@ class Replay:
     ) -> Fibre:
         """Take the next (n, 6) positions of ``eye_columns``; return the fibre at each of them.
 
-        Before the first position nothing is laid: its block is ``WAITING``.
+        The first position of a run has no motion before it: its block is ``WAITING``.
 
         Parameters
         ----------
         group
-            (n,) blocks with the same number are judged together; None: each for itself.
+            (n,) group of each block: consecutive blocks of a group are judged together; None: each
+            block by itself.
         behind
-            Number of the block behind them; None: with the last block its group ends.
+            Group of the block after the last one; None: the last group ends with the last block.
         """
         count = len(eyes)
         before = eyes[:1] if self._last is None else self._last
@@ -211,14 +216,14 @@ class Replay:
         )
 
     def leads(self, eye: FloatArray, u: float, angle: float) -> FloatArray:
-        """Return the (6,) fibre per change of each coordinate of an eye, m per m or rad.
+        """Return the (6,) length paid out per change of each coordinate of an eye, m per m or rad.
 
         Parameters
         ----------
         eye
             (6,) coordinates as in ``eye_columns``.
         u, angle
-            Where the fibre leaves the mandrel.
+            Place along the meridian, m, and angle, rad, where the fibre leaves the mandrel.
         """
         state, found = np.zeros(STATE), np.empty(6)
         state[0], state[1] = u, angle
@@ -226,7 +231,7 @@ class Replay:
         return found
 
     def _start(self, chain: FloatArray, at: int) -> int:
-        """Find the fibre for the next block that lays any; return its number."""
+        """Find the next block in which fibre can be laid, and set its start; return its number."""
         if self._rest is None:
             self._rest = float(chain[0, 0])
         if not self._turns:
@@ -267,15 +272,17 @@ def _keep(
     Parameters
     ----------
     places
-        (n, axes) in m; the first row is the last one of the call before, if there was one.
+        (n, axes) positions in m; the first row repeats the last row of the previous call, if there
+        was one.
     turn
         Number of the axis that turns the mandrel; -1 if it is not among them.
     door
-        (3, axes + 1) state, which is updated: the row that was kept last with its time; the least
-        and the largest rates at which a line from there passes all rows since, with the place from
-        which the mandrel turned, and the distance from a line that is allowed now.
+        (3, axes + 1) state, which is updated. Row 0 is the last kept row with its time. Rows 1 and
+        2 are the least and the largest rates at which a line from there passes all rows since;
+        their last entries are the place from which the mandrel turned and the distance from a line
+        that is allowed now.
     on_anchor
-        Whether the first row is the row that was kept last.
+        Whether the first row is the last kept row.
     """
     axes = places.shape[1]
     for i in range(1, len(places)):
@@ -298,13 +305,13 @@ def _keep(
             if step > 0.0 and math.isfinite(moved):
                 door[1, j] = max(door[1, j], (moved - off) / step)
                 door[2, j] = min(door[2, j], (moved + off) / step)
-            else:  # nothing is on a line with it
+            else:  # no line passes through this row
                 door[1, j], door[2, j] = math.inf, -math.inf
     return on_anchor
 
 
 def moves_of(eye: Tool, axes: Sequence[str], reach_m: float) -> FloatArray:
-    """Return (axes,) how far the eye moves, relative to the mandrel, per unit of each axis, m.
+    """Return (axes,) the motion of the eye, relative to the mandrel, per unit of each axis, m.
 
     ``reach_m`` is the radius at which rotary axes act.
     """
@@ -318,7 +325,7 @@ def moves_of(eye: Tool, axes: Sequence[str], reach_m: float) -> FloatArray:
 
 
 class Thinning:
-    """Chooses the positions of a run that are kept, wherever its samples are cut into blocks.
+    """Chooses the positions of a run to keep, however its samples are cut into blocks.
 
     Parameters
     ----------
@@ -332,7 +339,7 @@ class Thinning:
     Attributes
     ----------
     waits
-        Whether the latest position is not kept yet; at the end of a run it is.
+        Whether the latest position is not kept yet; the caller keeps it at the end of a run.
     """
 
     def __init__(self, eye: Tool, axes: Sequence[str], reach_m: float) -> None:
@@ -343,14 +350,14 @@ class Thinning:
         self._begun, self.waits = False, False
 
     def kept(self, time: FloatArray, group: IntArray, positions: FloatArray) -> NDArray[np.bool_]:
-        """Return which of n positions are kept; the last is never decided on.
+        """Return (n,) which positions are kept; the next call decides on the last one.
 
         Parameters
         ----------
         time
-            (n,) increasing: in which the axes move on straight lines.
+            (n,) increasing times, between which the axes move linearly.
         group
-            (n,) numbers; the last position of consecutive equal numbers is kept.
+            (n,) group numbers; the last position of consecutive equal numbers is kept.
         positions
             (n, axes); the first row is the last row of the previous call.
         """

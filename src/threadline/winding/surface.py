@@ -1,9 +1,9 @@
 """The surface of a mandrel: a smooth meridian, turned about the axis, as tables for compiled code.
 
-A meridian goes from left to right, as places ``x`` along the axis and radii ``r``. It is a chain
-of short pieces, each a polynomial of fifth order in ``u`` for ``x`` and for ``r``, which agree in
-place, tangent and curvature with the drawn meridian at both ends. ``u`` is the length along the
-meridian, nearly.
+A meridian goes from left to right, as places ``x`` along the axis and radii ``r``. It is a chain of
+short pieces. Each piece is a polynomial of fifth order in ``u`` for ``x`` and one for ``r``; at
+both ends of the piece they agree with the drawn meridian in place, tangent and curvature. ``u`` is
+approximately the length along the meridian.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from threadline.base.compiled import njit
 from threadline.errors import JobError
 
 Drawn = Callable[[FloatArray], tuple[FloatArray, FloatArray]]
-"""Returns x and r, and their two derivatives: two (3, n) arrays, of n parameters."""
+"""Function from (n,) parameters to x and r with their first two derivatives: two (3, n) arrays."""
 
 _JOINED_M = 1e-6  # two pieces of a meridian meet within this
 _CORNER = math.radians(0.5)  # a smaller turn between two pieces is no corner
@@ -80,7 +80,7 @@ def line(x0: float, r0: float, x1: float, r1: float) -> Stretch:
 
 
 def _trimmed(part: Stretch, begin: float, end: float) -> Stretch:
-    """Return the stretch without lengths at its ends."""
+    """Return the stretch without the lengths ``begin`` and ``end`` at its ends."""
     if begin <= 0.0 and end <= 0.0:
         return part
     low, high = begin, part.u[-1] - end
@@ -169,7 +169,7 @@ class Surface:
         return float(self.at(self.nodes)[1][:, 0].min())
 
     def at(self, u: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return (n, 3) places and radii, m, with their two derivatives by ``u``."""
+        """Return (n, 3) places and radii, m, with their first two derivatives by ``u``."""
         return _evaluated(self.x, self.nodes, u), _evaluated(self.r, self.nodes, u)
 
     def points_at(self, u: FloatArray) -> FloatArray:
@@ -197,11 +197,11 @@ def surface_of(parts: Sequence[Stretch], edge_m: float, file: str = "") -> Surfa
     Parameters
     ----------
     parts
-        From left to right; each begins where the one before it ends.
+        The stretches from left to right; each begins where the one before it ends.
     edge_m
         Radius of the rounding of corners, m.
     file
-        For messages.
+        Name of the file, for messages.
 
     Raises
     ------

@@ -14,12 +14,12 @@ from threadline.winding.surface import meridian
 MOST_PLACES = 512
 """Most places along the free fibre at which it is compared with the layers."""
 PILE = 2
-"""Number of the pair of free fibre and mandrel."""
+"""Number of the pair of free fibre and mandrel, as in ``apart.walk``."""
 _ROUNDS = 4  # most Newton steps to the foot of a normal
 _FOOT_M = 1e-7  # error of the foot of a normal; the height error grows with its square
-_TWICE = 2  # the layers above a line are searched along its normal, not the mandrel's
+_TWICE = 2  # steps to the layers along the normal of the line, which is not the mandrel's
 BLOCK = 16
-"""Cells of the meridian whose largest thickness is compared at once."""
+"""Number of cells of the meridian that are compared at once, by their largest thickness."""
 
 
 @njit(nogil=True)
@@ -28,8 +28,9 @@ def _above(
 ) -> tuple[float, float, float, float, int]:
     """Return the height of a point over the bare mandrel, and the mandrel below it.
 
-    The mandrel is given by u, cosine and sine of the meridian's angle, and the piece; ``u`` and
-    ``hint`` are a place and a piece nearby. The height is infinite beyond the ends.
+    The place on the mandrel below the point is returned as u, cosine and sine of the meridian's
+    angle, and piece. The arguments ``u`` and ``hint`` are a place and a piece nearby. The height is
+    infinite beyond the ends.
     """
     last, height, cb, sb = table[0][-1], 0.0, 1.0, 0.0
     for _ in range(_ROUNDS):
@@ -102,7 +103,8 @@ def hollow_over(
     cells
         Distance of two compared places along the fibre, in cells.
     hull
-        (3, k) written: length along the line, height above it, and the corners of the hull.
+        (3, k) work space, which becomes: length along the line, height above it, and the corners of
+        the hull.
     """
     length = math.sqrt((to[0] - at[0]) ** 2 + (to[1] - at[1]) ** 2 + (to[2] - at[2]) ** 2)
     count = int(min(max(math.ceil(length / (cells * sizes[0])), 8.0), hull.shape[1] - 1.0))
@@ -209,7 +211,7 @@ def wind(
     u: FloatArray, length: FloatArray, cell: float, section: float, latest: FloatArray,
     fresh: FloatArray,
 ) -> None:  # fmt: skip
-    """Add to the volumes of cells, ``fresh``, the fibre that lies along (n,) ``u``.
+    """Add the fibre that lies along (n,) ``u`` to ``fresh``, the fibre volumes of the cells, m3.
 
     Parameters
     ----------

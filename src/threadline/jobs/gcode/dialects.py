@@ -188,7 +188,7 @@ class Dialect:
         Letters of the words for spindle and tool magazine, which have no effect on motion. With
         ``one_command`` T is a command, and T0 is the only tool.
     streams
-        Whether the lines behind M2 or M30 run, too: in grbl only the sender ends the file.
+        Whether the lines after M2 or M30 run, too: in grbl only the sender ends the file.
     needs_end
         Whether a program must end with M2, M30 or M99.
     rapid_is_feed
@@ -211,7 +211,7 @@ class Dialect:
         Whether M5 and M9 beside a move act after the move. RS274/NGC and similar controls switch
         before the move.
     semicolon_ends
-        Whether a semicolon ends a block; otherwise all behind it is a comment.
+        Whether a semicolon ends a block; otherwise all text after it is a comment.
     flavour
         How the control reads parameters, expressions and O words; None if it does not read them.
     grammar
@@ -219,7 +219,7 @@ class Dialect:
     first_feed_m_s
         Feed before the first F, m/s; None if a move before it is refused.
     asks_feed
-        Remedy in that refusal.
+        Remedy in the message of that refusal.
     """
 
     name: DialectName

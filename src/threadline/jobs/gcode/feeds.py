@@ -106,7 +106,9 @@ def f_rule(
     base_axes: tuple[str, ...] = (),
     of_dialect: str = "fastest-axis",
 ) -> FRule:
-    """Return the rule for F on ``machine``; None: the machine file's rule, else the dialect's.
+    """Return the rule for F on ``machine``.
+
+    A ``feed_mode`` of None means the rule of the machine file, else of the dialect.
 
     Raises
     ------

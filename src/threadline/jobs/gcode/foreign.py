@@ -44,7 +44,7 @@ def letters_of(machine: Machine, text: str | None) -> Letters:
         Pairs like ``"C=A,Z=X,B=none"``: the letter of the program, then the axis of the machine, or
         ``none`` to leave the words of that letter out. An axis without a pair keeps its own letter,
         unless a pair takes that letter. ``E=none`` leaves out the filament of a 3D print, and
-        ``macros=none`` the moves of Klipper's macros. None renames none.
+        ``macros=none`` the moves of Klipper's macros. None: no axis is renamed.
 
     Raises
     ------
@@ -138,9 +138,9 @@ _COMMENT = re.compile(r"\(([^()\n]*)\)|;([^\n]*)")
 def guesses(path: Path) -> tuple[Guess, ...]:
     """Return the dialects that a program may be in, the likeliest first; empty without any mark.
 
-    The first and the last 64 KiB are looked at. A name in a comment counts more than any word. A
-    program with the usual preamble and no other mark is one of LinuxCNC where it has an end, and
-    else one of grbl, which needs none.
+    The first and the last 64 KiB are searched. A name in a comment counts more than any word. A
+    program with the usual preamble and no other mark counts as LinuxCNC's if it has an end, else as
+    grbl's, which needs no end.
     """
     with open_binary(path) as stream:
         begin: bytes = stream.read(_HEAD_BYTES)

@@ -1,8 +1,8 @@
 """Klipper's commands with a name, and its M204: limits, words without effect, macros.
 
 A name that Klipper does not have is the name of a macro of ``printer.cfg``, whose moves no program
-shows. What the commands do: Klipper, ``docs/G-Codes.md``, ``klippy/toolhead.py``
-(``SET_VELOCITY_LIMIT``, M204) and ``klippy/gcode.py`` for the form of a line.
+shows. Sources for the commands: Klipper, ``docs/G-Codes.md``, ``klippy/toolhead.py``
+(``SET_VELOCITY_LIMIT``, M204) and, for the form of a line, ``klippy/gcode.py``.
 """
 
 from __future__ import annotations
@@ -134,7 +134,7 @@ def _velocity_limit(arguments: str, place: Place) -> LimitChange:
 
 
 def _m204(code: str, arguments: str, place: Place) -> Named:
-    """Return M204: S, or the lower one of P and T; klipper passes over one without them."""
+    """Return M204: its S, or the lower one of P and T; Klipper ignores M204 without them."""
     given = dict(_LETTERED.findall(arguments))
     letters = ["S"] if "S" in given else ["P", "T"]
     if not all(letter in given for letter in letters):

@@ -272,7 +272,8 @@ def read_part_program(
         Rule for the meaning of F (``threadline.jobs.gcode.feeds``); None: the machine file's rule,
         else the dialect's.
     axes
-        Letters of the program for axes of the machine, like ``"C=A,Z=X"``; None: their own.
+        Axes of the machine for letters of the program, such as ``"C=A,Z=X"`` (the program's C is
+        the machine's A); None: axes with the same letters.
 
     Raises
     ------
@@ -282,6 +283,8 @@ def read_part_program(
         If the program has more operations than the machine's tick budget.
     OptionError
         If there is no such dialect, or the options for F do not fit the machine.
+    MachineError
+        If an axis of the machine has the letter of another word.
     """
     path = Path(path)
     if not machine.axis_names:

@@ -1,7 +1,8 @@
 """The lines of printers' firmwares: their numbers, checksums, texts and commands.
 
 Marlin and Klipper run one command of a line, RepRapFirmware every command. These functions return
-the commands as words with numbers; lines that the firmware would run otherwise are refused.
+the commands as words with numbers; they refuse lines that the firmware would run otherwise than
+written.
 
 Sources: Marlin 2.1 (``parser.cpp``, ``queue.cpp``), Klipper (``gcode.py``), RepRapFirmware 3.5
 (``StringParser.cpp``, ``GCodes2.cpp``).
@@ -68,7 +69,7 @@ def number_of_line(text: str) -> int | None:
 
 
 def text_of_stop(text: str) -> str:
-    """Return the text behind M0 or M1, which a one-command firmware shows at the stop.
+    """Return the text after M0 or M1, which a one-command firmware shows at the stop.
 
     >>> text_of_stop("N3 M0 S5 Turn the part*17"), text_of_stop("M117 hello")
     ('Turn the part', '')
@@ -135,11 +136,11 @@ def one_command(text: str, name: str, place: Place) -> str:
 
 
 def _without_parentheses(code: str, place: Place) -> str:
-    """Return a line of Marlin without its parentheses, which Marlin passes over as they are.
+    """Return a line of Marlin without its parentheses, which Marlin reads as other text.
 
-    A line of nothing else is no command (``parser.cpp``), and the words behind a command are
-    capital letters: of a text in small letters it takes nothing. G0 and G1 read no P, as in
-    ``G1 Z0 (Penetrate)``, and the letters behind M17, M18 and M84 move nothing.
+    Parentheses alone are no command (``parser.cpp``). Marlin takes words after a command only in
+    capital letters, and so nothing from a text in small letters. G0 and G1 read no P, as in ``G1 Z0
+    (Penetrate)``, and the letters after M17, M18 and M84 move nothing.
 
     Raises
     ------
@@ -279,7 +280,7 @@ def _for_reprapfirmware(text: str, place: Place, *, cnc: bool = False) -> list[s
 
 
 def _refuse_for_reprapfirmware(code: str, bare: str, place: Place) -> None:
-    """Refuse a line that RepRapFirmware evaluates, or reads otherwise than it looks.
+    """Refuse a line that RepRapFirmware evaluates, or reads otherwise than written.
 
     ``bare`` is the line with quotes in place of its texts.
     """

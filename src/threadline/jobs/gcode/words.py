@@ -42,7 +42,7 @@ def split_words(
 ) -> RawBlock:
     """Return the words of one line.
 
-    With ``one_block`` anything may stand behind ``;``, with ``inner`` also a ( in a comment.
+    With ``one_block`` any text may follow ``;``; with ``inner`` a comment may hold a (, too.
 
     Raises
     ------
@@ -136,6 +136,11 @@ def tags_of(comment: str, file: str, line: int) -> tuple[tuple[str, float], ...]
     """Return the tags of a comment like ``tension=6.5 width=4``.
 
     A comment with any other text has no tags.
+
+    Raises
+    ------
+    JobError
+        If a tag has no number.
     """
     if _NAMED.fullmatch(comment) is None:
         return ()

@@ -3,7 +3,7 @@
 The control stores the zero of each coordinate system; the program does not have it. A program that
 uses only one system is read as if in G54, with its zero at the start position. A program that uses
 several systems, or G53, needs their zeros in machine coordinates (``[programs.offsets]``). The same
-holds for tool lengths: a program that needs them in numbers has them from ``[programs.lengths]``.
+holds for tool lengths: a program that needs their numbers takes them from ``[programs.lengths]``.
 """
 
 from __future__ import annotations
@@ -73,10 +73,10 @@ def moves_length(block: Block, reading: Reading, *, calls: bool = False) -> bool
 class ToolLengths:
     """The tool lengths (G43) in force while a file is scanned or run.
 
-    A length that the machine file gives is read exactly. Only the control knows any other: one that
-    holds for all moves of Z only shifts the zero, and the zero is at the start position here, as
-    for G54. Any other use is refused. Moves of other axes may stand before: posts go over the place
-    first, and then down.
+    A length that the machine file gives is read exactly. Any other length is known only to the
+    control. If such a length holds for all moves of Z, it only shifts the zero, which is at the
+    start position here, as for G54; any other use is refused. Moves of other axes may come before:
+    posts first move over the place, and then down.
 
     Parameters
     ----------

@@ -34,7 +34,7 @@ class Bare:
     points
         (n, 2) places along the axis and radii, m, from left to right.
     laid
-        Its layers.
+        The layers on it.
     off_m
         Largest distance between the outer shape after them and the wanted one.
     """
@@ -55,7 +55,7 @@ def bare_of(winding: Winding) -> Bare:
     ------
     JobError
         If there is no such mandrel: it would double back, have a hollow that the fibre bridges or
-        reach the axis, or the outer shape comes no nearer; names the place.
+        reach the axis, or the outer shape comes no nearer; the error names the place.
     """
     wanted = winding.product.surface
     held = _held(winding)

@@ -139,7 +139,7 @@ def design(winding: Winding) -> tuple[Laid, ...]:
     Raises
     ------
     JobError
-        If a layer cannot be wound; names its line.
+        If a layer cannot be wound; the error names its line.
     """
     found = []
     surface = winding.product.surface
@@ -179,9 +179,8 @@ def bridged(laid: Laid) -> str | None:
 def rings_of(laid: Sequence[Laid]) -> tuple[Rings, dict[str, Ply]]:
     """Return the rings of a winding, and the elastic constants of their materials by name.
 
-    A layer is interwoven, both of its directions lie in the whole of its thickness: four plies, +a,
-    -a, -a and +a, each a quarter thick, have the same stiffness, and do not couple tension and
-    twist.
+    The two directions of a layer are interwoven through its whole thickness. Four plies, +a, -a, -a
+    and +a, each a quarter thick, have the same stiffness, and do not couple tension and twist.
 
     Raises
     ------

@@ -1,8 +1,8 @@
 """A circuit of fibre: from one turn to the other and back, and the advance that closes a pattern.
 
-Between its two joints the fibre is a geodesic. Beyond a joint it has a constant friction ratio up
-to the place where it turns back: 0 or nearly 0 on a dome, where it turns by Clairaut, and as much
-as the friction allows on an open end.
+Between its two joints the fibre is a geodesic. Beyond a joint it has a constant friction ratio, k_g
+/ k_n, up to the place where it turns back. On a dome, where it turns by Clairaut's law, the ratio
+is 0 or nearly 0; at an open end it is as large as the friction allows.
 """
 
 from __future__ import annotations
@@ -47,18 +47,18 @@ class Site:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Turn:
-    """The way from a joint to the turn.
+    """The path of the fibre from a joint to its turn.
 
     Parameters
     ----------
     rows
-        (n, 4) length, u, angle round and winding angle from the joint on; the last is the turn.
+        (n, 4) length, u, angle round and winding angle from the joint on; the last row is the turn.
     ratio
         k_g / k_n, positive where the fibre is steered round the mandrel.
     radius_m
-        Radius where it turns.
+        Radius at the turn.
     dwell
-        Angle round on the parallel of the turn, rad.
+        Angle of a dwell on the parallel of the turn, rad.
     """
 
     rows: FloatArray
@@ -187,9 +187,9 @@ def _turned_round(rows: FloatArray) -> FloatArray:
 
 
 def widest(surface: Surface, level: float = LEVEL) -> tuple[float, float, float]:
-    """Return the largest radius, m, and u at the left and right end of where the mandrel has it.
+    """Return the largest radius, m, and u at the left and the right end of the widest part.
 
-    ``level`` is the share of the largest radius within which a place is as wide.
+    A place belongs to the widest part if its radius is within the share ``level`` of the largest.
     """
     u = np.unique(np.concatenate([np.linspace(0.0, surface.length_m, _GRID), surface.nodes]))
     r = surface.at(u)[1][:, 0]
@@ -237,12 +237,12 @@ def traced(
 
 
 def turn_of(surface: Surface, site: Site, constant_m: float, ratio: float, name: str = "") -> Turn:
-    """Return the way from a joint to the turn at a friction ratio.
+    """Return the turn of a fibre that has a friction ratio from a joint on.
 
     Raises
     ------
     JobError
-        If it does not turn on the mandrel.
+        If the fibre does not turn on the mandrel.
     """
     until = surface.length_m if site.side > 0 else 0.0
     rows, why = _traced(surface, (site.joint, constant_m), ratio, site.side, until)
@@ -299,13 +299,13 @@ def circuit_of(
     Parameters
     ----------
     sites
-        Where it turns, left and right.
+        Sites of the left and the right turn.
     constant_m
         Radius times sine of the winding angle between the joints.
     ratios
         k_g / k_n from each joint to its turn.
     name
-        Of the layer, before a message.
+        Name of the layer, with which a message begins.
 
     Raises
     ------

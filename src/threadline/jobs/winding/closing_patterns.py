@@ -86,7 +86,7 @@ def patterns(wrap: Wrap) -> list[Pattern]:
     Raises
     ------
     JobError
-        If there is none; names the nearest.
+        If there is none; the error names the nearest one.
     """
     layer, base = wrap.layer, wrap.base
     if layer.kind == "hoop":
@@ -251,7 +251,7 @@ def _by_friction(wrap: Wrap) -> Callable[[float], float]:
 
 
 def _furthest(tried: Callable[[float], float], wanted: float) -> float:
-    """Return the value up to ``wanted`` at which a trial still succeeds, from 0 on."""
+    """Return the largest value from 0 towards ``wanted`` at which a trial still succeeds."""
     if not math.isnan(tried(wanted)):
         return wanted
     low, high = 0.0, wanted
@@ -262,7 +262,7 @@ def _furthest(tried: Callable[[float], float], wanted: float) -> float:
 
 
 def _inside(wrap: Wrap, circuit: Circuit) -> bool:
-    """Return whether a circuit turns nearer to a pole than its band can, by more than a hair."""
+    """Return whether a circuit turns nearer to a pole than its band can, by more than 1 nm."""
     return any(
         site.dome and turn.radius_m < wrap.least_m - 1e-9
         for site, turn in zip(wrap.sites, (circuit.left, circuit.right), strict=True)
@@ -270,7 +270,7 @@ def _inside(wrap: Wrap, circuit: Circuit) -> bool:
 
 
 def _by_angle(wrap: Wrap) -> Callable[[float], float]:
-    """Return the Clairaut radius for the angle that a circuit lacks, over 3 degrees."""
+    """Return the Clairaut radius for the angle that a circuit lacks, within a few degrees."""
     if wrap.layer.angle is not None and not wrap.domes:
         spread = math.radians(1.0)
     else:
@@ -331,7 +331,7 @@ def closed_circuit(wrap: Wrap, pattern: Pattern, by: Closing) -> Circuit:
 def chosen(wrap: Wrap, found: list[Pattern]) -> tuple[Pattern, Closing]:
     """Return the pattern of a layer and what closes it.
 
-    The first of the table is taken; friction closes it where there is a dome, else a dwell.
+    The first pattern is taken. Friction closes it if it can, else a dwell, else the angle.
     """
     pattern = found[0]
     if wrap.layer.close is not None:

@@ -1,8 +1,8 @@
-"""The path of the pay-out eye: the tangent from the fibre, cut with a clearance envelope.
+"""The path of the payout eye: where the tangent of the laid fibre meets a clearance envelope.
 
-The envelope is the surface at a constant distance from the mandrel, ends included; for a machine
-that cannot move its eye across, the cylinder on which it stands. Points of the path are kept only
-where the laid fibre needs them.
+The envelope is the surface at a constant distance from the mandrel, ends included; on a machine
+that cannot move its eye across, it is the cylinder on which the eye stands. Points of the path are
+kept only where the laid fibre needs them.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ def free_lengths(
     course
         (n, 4) length, u, angle round and winding angle.
     nodes, x, r
-        As ``Surface``.
+        The meridian, as in ``Surface``.
     far
         Distance of the envelope from the mandrel, or with ``round_`` its radius, m.
     """
@@ -87,7 +87,7 @@ def free_lengths(
         above = away - far
         length = high
         for step in range(_ROUNDS):
-            # Regula falsi, halved in every third step.
+            # Regula falsi, with a bisection in every third step.
             length = (
                 0.5 * (low + high)
                 if step % 3 == 2
@@ -128,12 +128,12 @@ class EyePath:
 
     @property
     def used_m(self) -> FloatArray:
-        """(n,) fibre that has left the eye."""
+        """(n,) length of fibre that has left the eye, m."""
         return np.asarray(self.course[:, 0] + self.free_m - self.free_m[0])
 
     @property
     def slack_m(self) -> float:
-        """Most fibre that goes back through the eye in one go."""
+        """Largest length of fibre that goes back through the eye in one go, m."""
         used = np.concatenate([self.used_m, self.used_m[1:] + self.used_m[-1]])
         return float((np.maximum.accumulate(used) - used).max())
 

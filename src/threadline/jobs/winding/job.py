@@ -53,7 +53,7 @@ _OFF = 0.05  # of a tension, as the winder thesis lets it vary
 
 
 def is_winding(path: Path) -> bool:
-    """Return whether a file is a product file with layers or without."""
+    """Return whether a file is named as a product file (``.wind.toml``)."""
     return path.name.lower().endswith(SUFFIX)
 
 

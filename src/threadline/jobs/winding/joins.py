@@ -1,7 +1,8 @@
 """Joins: from the last turn of a layer to the first turn of the next one.
 
-A join passes the mandrel, and the angle changes on its way between the joints by a constant
-friction ratio. Where one pass is too short for that, the fibre turns back and goes on changing.
+A join runs along the mandrel. Between the joints a constant friction ratio changes the winding
+angle. Where one pass is too short for the change, the fibre turns back, and the angle goes on
+changing.
 """
 
 from __future__ import annotations
@@ -25,12 +26,12 @@ _MOST_RATIO, _ROUGH = 2.0, 8  # of the search for the friction that would do
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Join:
-    """A way between two layers.
+    """The path of the fibre between two layers.
 
     Parameters
     ----------
     surface
-        The same of the later layer.
+        Surface under the later layer.
     course
         (n, 4) length, u, angle round and winding angle to the right.
     side
@@ -46,7 +47,7 @@ class Join:
 
 
 def join(before: Laid, after: Laid, side: int) -> Join:
-    """Return the way from a turn of a layer to a turn of the next.
+    """Return the join from a turn of a layer to a turn of the next one.
 
     Parameters
     ----------
@@ -81,7 +82,7 @@ def join(before: Laid, after: Laid, side: int) -> Join:
 
 
 def _joined(before: Laid, after: Laid, side: int, friction: float) -> Join | None:
-    """Return the way between two layers at a friction ratio; None if the angle cannot change."""
+    """Return the join of two layers at a friction ratio; None if the angle cannot change."""
     surface = after.wrap.surface
     name = f"the join to layer {after.layer.number}: "
     from_, to = _moved(before, surface), after.wrap.sites

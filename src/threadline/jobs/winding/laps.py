@@ -15,9 +15,9 @@ from threadline.base.arrays import FloatArray, IntArray
 from threadline.jobs.operations import Dwell, Feed, FeedMode, Move, MoveRun, Operation, Source
 from threadline.jobs.tensions import TAG
 
-_APPROACH_M_S = 0.02  # of eye to the first point
+_APPROACH_M_S = 0.02  # speed of the eye to the first point
 _REST_S = 0.5
-_RAMP_S, _RAMP_FROM = 1.0, 0.3  # the ramp is as long as what full speed draws in so many seconds
+_RAMP_S, _RAMP_FROM = 1.0, 0.3  # the ramp is as long as 1 s at full speed, and begins at 0.3 of it
 _STOP_S, _STEP_S = 0.5, 0.02  # from full speed to a rest, and the longest step of speed there
 _STOP_GRID = 10_001
 _UNITS = 1e9  # parts of a mm or deg: in 1000 circuits rounding adds up to 5e-7 deg
@@ -33,7 +33,7 @@ class Laps:
     points
         (m, axes) positions of the first circuit, its first point included.
     further
-        (axes,) what every circuit adds to the positions of the one before it.
+        (axes,) increase of the positions from each circuit to the next.
     seconds
         (m - 1,) duration of every move.
     count
@@ -41,7 +41,7 @@ class Laps:
     line
         Line of the layer in the file.
     tension_n
-        Tension of the fibre that the layer asks for; None: none.
+        Tension of the fibre in the layer, N; None: the file gives none.
     """
 
     points: FloatArray
@@ -62,7 +62,7 @@ def _from_rest(seconds: FloatArray) -> FloatArray:
 
 
 def _nominal_s(left_s: FloatArray) -> FloatArray:
-    """Return the time at full speed for the way that is left at times before a rest.
+    """Return the time at full speed for the distance that is left at times before a rest.
 
     Over the last ``_STOP_S`` the speed falls as half a cosine: its share of the full speed is
     ``(1 - cos(pi t / T)) / 2`` at the time t before the rest.
@@ -87,8 +87,8 @@ def _to_rest(
 
     A mandrel that stops from full speed swings back on its drive and lifts the fibre. Moves are
     divided so that the speed falls in small steps. The last move is ``least`` units long on one
-    axis at least: Marlin passes over moves of fewer than six steps, and goes their way at the speed
-    of the move that follows them.
+    axis at least: Marlin skips moves of fewer than six steps, and makes up for them at the speed of
+    the next move.
     """
     left = float(seconds.sum()) - np.concatenate([[0.0], np.cumsum(seconds)])
     left[-1] = 0.0
@@ -132,7 +132,7 @@ class Grid:
         return np.rint(given * _UNITS).astype(np.int64)
 
     def places(self, units: IntArray) -> FloatArray:
-        """Return positions, m or rad: those that a reader makes of the decimals."""
+        """Return positions, m or rad, as a reader computes them from the decimals."""
         return np.where(self._linear, units / (1e3 * _UNITS), np.radians(units / _UNITS))
 
 

@@ -30,9 +30,9 @@ KINDS = ("helical", "hoop")
 _HOUR = re.compile(r"\s*(\d+(?:\.\d+)?)\s*([A-Z]{3})\s*/\s*h\s*")
 MOST_CIRCUITS = 100_000
 MARGIN = 0.9
-"""Share of the lower end of the friction that a planned path uses."""
+"""Share of the lowest friction, within its tolerance, that a planned path uses."""
 GENTLE = 0.75
-"""The same of a turn at an open end, where the mandrel is long enough for it."""
+"""Share of that for a turn at an open end, where the mandrel is long enough for it."""
 USUAL_SPEED_M_S = 0.1
 """Speed of the fibre where the file names none."""
 _ENVELOPES_M = 1e-3, 1.0
@@ -43,12 +43,12 @@ _LEAST_ANGLE = math.radians(1.0)
 
 @dataclass(frozen=True, slots=True)
 class Layer:
-    """One layer as the file asks for it.
+    """One layer, as the file describes it.
 
     Parameters
     ----------
     number
-        From 1.
+        Number of the layer, from 1.
     line
         Line of the file.
     kind
@@ -58,13 +58,15 @@ class Layer:
     angle
         Winding angle at the largest radius, rad; None: it follows from the turn.
     circuits, shift
-        Shift of the pattern: each circuit is ``shift / circuits`` turns further on; None: chosen.
+        Pattern: each circuit advances by whole turns and ``shift / circuits`` of a turn; None:
+        chosen.
     close
         Way to close the pattern; None: chosen.
     cover
         Least coverage at the largest radius, as a share; 0 where only circuits are given.
     begin_m, end_m
-        Places along the mandrel between which an open end has the full angle; None: of [coverage].
+        Places along the mandrel between which an open end has the full angle; None: as in
+        [coverage].
     """
 
     number: int
@@ -103,7 +105,7 @@ class Winding:
     product
         Mandrel, band and friction.
     layers
-        In the order in which they are wound.
+        The layers, in the order in which they are wound.
     envelope_m
         Distance between mandrel and pay-out point; None: chosen.
     speed_m_s
@@ -140,7 +142,7 @@ def read_layers(path: str | Path) -> Winding:
     Raises
     ------
     JobError
-        If it cannot be read, or has no layer; names the line.
+        If it cannot be read, or has no layer; the error names the line.
     """
     path = Path(path)
     text = product_text(path)
@@ -265,10 +267,10 @@ class _LayerReader(ProductReader):
     def tensions(
         self, rows: Sequence[Mapping[str, Any]], fibre: Mapping[str, Any]
     ) -> list[float | None]:
-        """Return the tension of every layer, N: its own, else the first one's less the taper.
+        """Return the tension of every layer, N: its own, else the first tension less the taper.
 
-        Every layer has the ``taper`` less than the one below it, so that the outer layers do not
-        loosen the inner ones.
+        Every layer has less tension than the layer below, by the share ``taper``, so that the outer
+        layers do not loosen the inner ones.
         """
         self.table = "fibre"
         first = self.number(fibre, "tension", "N", None).si if "tension" in fibre else None

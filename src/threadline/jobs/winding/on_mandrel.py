@@ -24,7 +24,7 @@ _TURN = 2.0 * math.pi
 _BETWEEN = 1025  # places between begin and end
 _HOOP_ROWS = 100
 _HALVINGS = 12  # of the range of friction ratios of a turn
-_NEAR_BANDS = 3.0  # of a turn, within which a boss or pins hold a dwell
+_NEAR_BANDS = 3.0  # band widths from a turn within which a boss or pins hold a dwell
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -36,11 +36,11 @@ class Wrap:
     base
         The circuit without anything that closes a pattern.
     sites
-        Where it turns, left and right.
+        Sites of the left and the right turn.
     least_m
         Radius below which the band's centre must not turn on a dome: opening and half a band.
     width_m
-        Of the band.
+        Width of the band.
     friction
         Largest friction ratio.
     turning
@@ -59,12 +59,12 @@ class Wrap:
 
     @property
     def name(self) -> str:
-        """Of the layer, before a message."""
+        """Name of the layer, with which a message begins."""
         return f"layer {self.layer.number}: "
 
     @property
     def domes(self) -> bool:
-        """Whether the fibre turns by Clairaut at one end at least."""
+        """Whether the fibre turns by Clairaut's law at one end at least."""
         return any(site.dome for site in self.sites)
 
     def circuit(
@@ -91,7 +91,7 @@ class Wrap:
         )
 
     def _open_ratio(self, site: Site, own: float, constant_m: float) -> float:
-        """Return the friction ratio that turns another angle as far beyond the joint as ``base``.
+        """Return the ratio that turns a fibre of another angle as far beyond the joint as ``base``.
 
         On a cylinder of radius R the turn takes ``(R / sin(a) - R) / ratio``.
         """
@@ -123,7 +123,7 @@ class Wrap:
 
 
 def wrap_of(winding: Winding, layer: Layer, surface: Surface) -> Wrap:
-    """Return a helical layer on the surface that it is wound on.
+    """Return a layer on the surface on which it is wound.
 
     Raises
     ------
@@ -273,7 +273,7 @@ def _full(winding: Winding, layer: Layer) -> tuple[float | None, float | None]:
 def _between(
     surface: Surface, ends_m: tuple[float, float], whole: tuple[float, float, float]
 ) -> tuple[float, float, float]:
-    """Return what ``widest`` returns, between two places, if the rest of the mandrel is wider.
+    """Return ``widest`` between two places, if the rest of the mandrel is wider.
 
     Where the layers below turned on an open end, they stand higher than the product.
     """
@@ -294,7 +294,7 @@ class _Rim:
     Parameters
     ----------
     end_m
-        Radius there.
+        Radius at the end.
     band_m
         Smallest radius at which a band has room: its centre is half a band from the end.
     steep

@@ -20,7 +20,7 @@ from threadline.laminate.theory import (
 )
 
 USUAL_SHARE = 0.05
-"""Share of its strength below which a fibre is wound: a higher tension breaks filaments."""
+"""Usual limit of the stress of a fibre over its strength: a higher tension breaks filaments."""
 
 LEAST_VOLUME, MOST_VOLUME = 0.2, 0.75
 """Fibre volumes of wound products."""
@@ -233,7 +233,7 @@ class WoundLaminate:
     net
         The load that its fibres alone carry.
     radius_m
-        Of the mandrel there.
+        Largest radius of the mandrel.
     strength
         Smallest strength of the fibres, Pa.
     """
@@ -293,5 +293,5 @@ def wound_laminate(laid: Sequence[Laid]) -> WoundLaminate | None:
 
 
 def plies_of(ply: Ply, angle: float, thickness: float) -> list[Layered]:
-    """Return the plies of a layer: the fibre goes there and back, so one to either side."""
+    """Return the plies of a layer: its fibre goes there and back, so one for either angle."""
     return [Layered(ply, angle, 0.5 * thickness), Layered(ply, -angle, 0.5 * thickness)]

@@ -2,9 +2,9 @@
 
 A circuit passes every parallel twice with a band of cross-section A, so a layer of n circuits has
 the thickness ``t = 2 n A / (2 pi r cos(a))``, which is ``t_cyl R cos(a_R) / (r cos(a))``. At the
-turn that has no limit. There one band holds a tenth of a dome's fibre, so the last two bands get a
-cubic in the radius instead. It continues value and slope, is level at the edge of the opening, and
-keeps the volume of the fibre.
+turn this formula has no limit. There one band holds a tenth of a dome's fibre, so over the last two
+band widths a cubic in the radius replaces the formula. The cubic continues value and slope, is
+level at the edge of the opening, and keeps the volume of the fibre.
 """
 
 from __future__ import annotations
@@ -67,11 +67,11 @@ def thickness(
     Parameters
     ----------
     circuit
-        One of its circuits.
+        A circuit of the layer.
     sites
-        Where it turns.
+        Sites of its turns.
     width_m
-        Of the band.
+        Width of the band.
     fibre_m2
         Cross-section of all bands on a parallel: twice the circuits times width and thickness of
         the band, m^2.

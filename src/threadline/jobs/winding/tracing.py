@@ -18,7 +18,7 @@ from threadline.winding.surface import meridian
 
 TURNED, REACHED, AWAY, ENDLESS = range(4)
 """Why a course ended: at 90 degrees, at the wanted place, along the meridian, after too long."""
-_SHARE = 0.008  # of the smallest radius of curvature, of a step
+_SHARE = 0.008  # length of a step, as a share of the smallest radius of curvature
 _ROUNDS = 12  # of the search for the end of a step
 _HALF_PI = 0.5 * math.pi
 _ROW = 4
@@ -44,7 +44,7 @@ def _step(
     y: FloatArray, h: float, ratio: float, side: float,
     nodes: FloatArray, x: FloatArray, r: FloatArray, hint: int, k: FloatArray, z: FloatArray,
 ) -> None:  # fmt: skip
-    """Write the state a step of Dormand and Prince, of fifth order, after ``y`` into ``z``.
+    """Write into ``z`` the state after a step of Dormand and Prince, of fifth order, from ``y``.
 
     The first row of ``k`` holds the rates at ``y``. All stages use the piece ``hint`` and those
     beside it, so that a step that ends at a node sees no jump of the curvature.
@@ -89,7 +89,7 @@ def trace(  # noqa: PLR0915 - one loop over the steps
     Parameters
     ----------
     nodes, x, r
-        As ``Surface``.
+        The meridian, as in ``Surface``.
     begin
         (2,) u, m, and angle with the meridian in the direction of travel, rad, below 90 degrees.
     ratio

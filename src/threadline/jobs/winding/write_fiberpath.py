@@ -56,7 +56,7 @@ def write_wind(file: Path, laid: Sequence[Laid]) -> list[str]:
     Raises
     ------
     JobError
-        If the format cannot hold the mandrel or a layer; names it.
+        If the format cannot hold the mandrel or a layer; the error names it.
     OptionError, OSError
         If the file cannot be written.
     """

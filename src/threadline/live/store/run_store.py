@@ -85,7 +85,7 @@ class RunStore:
         Parameters
         ----------
         proof
-            The file names in its copy still lead to the same files.
+            Proof of the plan; the file names in its copy still lead to the same files.
         known
             Entries of the recording's origin besides the options of the plan: ``link``, and
             ``override`` if the proof did not pass.
@@ -159,9 +159,9 @@ class RunStore:
         return run
 
     def catch_up(self) -> None:
-        """Enter verdicts into the index that it missed while another program was writing.
+        """Enter the verdicts into the index that were missed while another program was writing.
 
-        If it is still locked, or a verdict cannot be read, nothing changes.
+        If the index is still locked, or a verdict cannot be read, nothing changes.
         """
         for record in self.index.runs():
             file = self.folder / record.run / VERDICT
@@ -178,7 +178,7 @@ class RunStore:
         Raises
         ------
         StoreError
-            If there is none of that name.
+            If there is no run of that name.
         """
         names = [record.run for record in self.index.runs()]
         if run == "last" and names:
@@ -422,7 +422,7 @@ NOT_JUDGED = "not judged"
 
 
 def verdict_of_run(record: RunRecord, folder: Path) -> str:
-    """Return the verdict of a run in a word or two; ``folder`` is the run's."""
+    """Return the verdict of a run in a word or two; ``folder`` is the folder of the run."""
     if record.ended == REFUSED:
         return REFUSED
     if record.passed is None:
@@ -431,12 +431,12 @@ def verdict_of_run(record: RunRecord, folder: Path) -> str:
 
 
 def verdict_of_proof(record: RunRecord, folder: Path) -> str:
-    """Return the verdict of the proof that a run began with, without its level."""
+    """Return the verdict of the proof with which a run began, without its level."""
     return _word(folder / PROOF, record.proof_passed)
 
 
 def _word(file: Path, passed: bool) -> str:
-    """Return the verdict in a file in a word; if it cannot be read, the index's."""
+    """Return the verdict of a file in a word; from the index if the file cannot be read."""
     try:
         content: Mapping[str, Any] = json.loads(file.read_bytes())
         verdict = content.get("verdict", content)  # a proof has a verdict, and its level beside it

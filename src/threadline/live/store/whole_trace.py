@@ -125,7 +125,8 @@ def _chain(trace: Path, rest: Recording) -> list[tuple[str, Recording]]:
 def whole_recording(trace: Path) -> Recording:
     """Return the recording of a trace, joined with the runs that it continues.
 
-    A trace that continues none, or whose runs are not beside it any more, is returned alone.
+    A trace that continues no run, or whose earlier runs are not beside it any more, is returned
+    alone.
 
     Raises
     ------
@@ -155,7 +156,7 @@ def _fitting(before: Recording, rest: Recording) -> tuple[int, int] | None:
 
 
 def _joined(before: Recording, rest: Recording) -> Recording:
-    """Return a recording up to where the work of another began again, followed by that one."""
+    """Return ``before`` up to where the work of ``rest`` begins, followed by ``rest``."""
     fitting = _fitting(before, rest)
     if fitting is None:
         return rest
