@@ -4,7 +4,7 @@ Errors and warnings are shared with the command line, and name its options. If t
 for an option, the label of the field replaces the name of the option. Other options are marked as
 options of the command line.
 
-Methods get the present time as an argument, so that tests need not wait.
+Methods get the present time as an argument, and read no clock of their own.
 """
 
 from __future__ import annotations
