@@ -235,7 +235,7 @@ class Client:
         self._ready.set()
 
     async def next_text(self, clock: Callable[[], float]) -> str | None:
-        """Wait for the next message, and return it; None if there is none after all."""
+        """Wait for the next message and return it; None if it was dropped meanwhile."""
         await self._ready.wait()
         if self._waiting:
             return self._waiting.popleft()
