@@ -19,7 +19,7 @@ def test_a_copy_is_locked(lock) -> None:
 
 
 @pytest.mark.parametrize("lock", [read_only, read_only_int])
-def test_what_nobody_can_change_is_not_copied(lock) -> None:
+def test_locked_array_is_not_copied_again(lock) -> None:
     """A block cut out of a locked array shares its memory; a view of a writable one does not."""
     whole = lock([1, 2, 3, 4], "whole", ndim=1)
     assert np.shares_memory(lock(whole[1:3], "part", ndim=1), whole)

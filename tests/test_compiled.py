@@ -42,7 +42,7 @@ class Interrupted(CacheFile):
         self._other()
 
 
-def test_who_reads_while_another_writes_never_gets_the_code_of_an_older_file(
+def test_reader_during_a_write_never_gets_code_of_an_older_file(
     tmp_path: Path,
 ) -> None:
     """numba's own cache writes the code's name into its index while the old code is still there."""
@@ -117,7 +117,7 @@ def test_a_folder_that_cannot_be_written_keeps_nothing_and_stops_nobody(tmp_path
     assert full.load("a float") is None
 
 
-def test_where_no_folder_can_be_written_functions_are_compiled_each_time(
+def test_functions_are_compiled_each_time_without_a_writable_folder(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """numba's own decorator ends with an error there: the file system of a container, say."""
@@ -165,11 +165,11 @@ def test_a_function_is_compiled_anew_when_one_that_it_calls_has_changed(
     assert found == [1.5, 2.5 if "2.0" in change else 3.5]
 
 
-def test_it_divides_as_numpy_does() -> None:
+def test_compiled_division_by_zero_gives_infinity() -> None:
     assert njit()(lambda x: 1.0 / x)(0.0) == math.inf
 
 
-def test_of_processes_that_want_the_same_one_compiles_and_the_others_wait(tmp_path: Path) -> None:
+def test_one_process_compiles_a_function_while_others_wait(tmp_path: Path) -> None:
     """Each records when it compiles, and how long that took."""
     (tmp_path / "wanted.py").write_text(
         "import sys\nfrom threadline.base.compiled import njit\n"
@@ -197,7 +197,7 @@ def test_of_processes_that_want_the_same_one_compiles_and_the_others_wait(tmp_pa
     assert not list((tmp_path / "__pycache__").glob("*.lock"))
 
 
-def test_who_waited_long_enough_compiles_for_itself(
+def test_process_compiles_by_itself_after_the_lock_timeout(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The process that was to compile it may have been stopped."""

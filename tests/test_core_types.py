@@ -54,7 +54,7 @@ def test_the_folders_are_there():
     assert [name for name in NUMERICS if not (ROOT / "tests" / name).is_dir()] == []
 
 
-def test_what_no_other_kernel_changes_is_left_out(tmp_path: Path):
+def test_tests_independent_of_the_kernel_are_left_out(tmp_path: Path):
     """LinuxCNC's own times are tested once; tests with its interpreter run again."""
     case = (
         "import pytest\n"

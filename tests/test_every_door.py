@@ -296,7 +296,7 @@ def _verdict(found: Any) -> Any:
     return found.best.found.verdict if hasattr(found, "rungs") else found.verdict
 
 
-def test_what_is_made_from_the_table_is_current() -> None:
+def test_files_made_from_the_table_of_options_are_current() -> None:
     """``python -m tools.options_reference`` writes the page, the types and the panel's fields."""
     for file, content in files().items():
         assert file.read_text(encoding="utf-8") == content, file.name

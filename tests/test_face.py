@@ -355,7 +355,7 @@ def test_no_argument_of_a_wrong_type_ends_in_an_error_of_python(
         (lambda: LOOSE.retime([[0, 0], [1, 0]], 1, 1, tolerance=10**400), "tolerance is 1000"),
     ],
 )
-def test_what_is_wrong_with_a_call_is_named(call: Callable[[], object], said: str) -> None:
+def test_wrong_call_is_refused_with_the_reason(call: Callable[[], object], said: str) -> None:
     with pytest.raises(InputError, match=said):
         call()
 

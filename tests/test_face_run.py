@@ -87,7 +87,7 @@ def test_an_interrupt_stops_it_on_the_path(job: Path, tmp_path: Path) -> None:
         ({"pass_stops": False, "job": "G91\nG1 X5 F600\nM0\nX-5\nM30\n"}, "pass_stops=True"),
     ],
 )
-def test_what_is_wrong_is_said_in_arguments_and_nothing_is_kept(
+def test_wrong_run_is_refused_by_argument_and_keeps_nothing(
     job: Path, tmp_path: Path, words: dict[str, object], said: str
 ) -> None:
     if "job" in words:
@@ -111,7 +111,7 @@ def test_a_job_out_of_spec_runs_for_a_reason_alone(tmp_path: Path) -> None:
     assert run.recording.origin["override"] == "test of the brake"
 
 
-def test_what_the_command_says_beside_the_verdict_is_kept(tmp_path: Path) -> None:
+def test_run_keeps_the_notes_that_the_command_prints(tmp_path: Path) -> None:
     """A hold waits if it would spoil the work, and the operator has to know that."""
     job = Path(__file__).parents[1] / "examples" / "helix.gcode"
     run = tl.run(job, MACHINE, speed=0, store=tmp_path / "runs", level="nominal")

@@ -79,7 +79,7 @@ def measured(proof, name, axis=""):
     return next(r.measured for r in proof.verdict.results if (r.name, r.axis) == (name, axis))
 
 
-def test_in_spec_at_65_a_second_only_with_it(proof, seam, machine):
+def test_seam_at_65_stitches_a_second_needs_feed_forward(proof, seam, machine):
     assert proof.verdict.passed
     # Cornering at rest takes v E|t| / (4 sqrt 2), a quarter of a full corner, and a little more.
     speed = 65 * 2.54e-3
@@ -142,7 +142,7 @@ def test_limits_are_checked_before_anything_is_put_out(seam, machine):
         plan_job(job, machine, AHEAD)
 
 
-def test_off_its_numbers_the_machine_is_off_the_path(plan, machine):
+def test_machine_with_other_numbers_leaves_the_path(plan, machine):
     spec = load_spec(PLACE, machine)
     soft = off_tolerance(machine, stiffness=-1.0)
     assert soft.links["x_belt"].stiffness.si == pytest.approx(0.8 * 6.24e5)

@@ -111,7 +111,7 @@ def test_a_process_that_reads_a_drawing_loads_the_geometry_alone() -> None:
         ),
     ],
 )
-def test_what_needs_no_machine_comes_without_the_models_of_machines(
+def test_calls_without_a_machine_import_no_machine_models(
     call: str, foreign: tuple[str, ...]
 ) -> None:
     """Then a shaper or a motion is ready within the first second of a program.

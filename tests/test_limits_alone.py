@@ -117,7 +117,7 @@ def test_a_machine_file_of_limits_alone_is_read(tmp_path: Path) -> None:
          "drives.x: a drive of another kind is not allowed with kinematic drives"),
     ],
 )  # fmt: skip
-def test_what_has_dynamics_is_refused_beside_limits_alone(
+def test_dynamics_are_refused_in_a_machine_of_limits_alone(
     tmp_path: Path, old: str, new: str, line: int, said: str
 ) -> None:
     """One line: the key, the reason, the file and its line, the remedy."""
@@ -284,7 +284,7 @@ def test_json_exit_and_report_say_the_level(
         (["analyse", "M", "--experiments"], "--experiments needs a loop"),
     ],
 )  # fmt: skip
-def test_what_needs_dynamics_is_refused_in_one_line(
+def test_command_that_needs_dynamics_is_refused_in_one_line(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], words: list[str], said: str
 ) -> None:
     file, job = files(tmp_path, "G1 X10 F600")

@@ -233,7 +233,7 @@ BAD = {
 
 
 @pytest.mark.parametrize("name", BAD)
-def test_what_is_no_proof_is_refused_in_one_line(tmp_path: Path, name: str) -> None:
+def test_malformed_proof_is_refused_in_one_line(tmp_path: Path, name: str) -> None:
     text, message = BAD[name]
     file = tmp_path / "x.json"
     file.write_text(text)
@@ -568,7 +568,7 @@ def test_a_step_that_is_left_out_of_a_proof_is_missed(shop: Path) -> None:
         )
 
 
-def test_who_has_the_key_sees_who_signed(shop: Path) -> None:
+def test_signature_is_checked_with_the_key(shop: Path) -> None:
     """The signature is an HMAC of the proof without its files' paths, computed independently."""
     (shop / "ours.key").write_text("0123456789abcdef\n")
     (shop / "theirs.key").write_text("0123456789abcdeF\n")

@@ -138,7 +138,7 @@ def test_a_swing_that_cannot_be_kept_is_refused_with_its_cost(tmp_path: Path) ->
         swung(tmp_path, 70, "0.5 %")
 
 
-def test_what_was_typed_stands_in_a_recording() -> None:
+def test_robust_option_is_recorded_as_typed() -> None:
     job = read_job(EXAMPLES / "stitcher-robust.seam.toml", MACHINE)
     for smoothing in (None, "90 ms"):
         options = options_of(
@@ -161,7 +161,7 @@ def test_bad_shares_are_refused(words, text) -> None:
         options_of("auto", None, "0.1 mm", **words)
 
 
-def test_what_cannot_be_robust_is_refused() -> None:
+def test_impossible_robust_plan_is_refused() -> None:
     seam = EXAMPLES / "stitcher-robust.seam.toml"
     with pytest.raises(OptionError, match="--robust '100 %' needs feed-forward"):
         plan_job(

@@ -132,7 +132,7 @@ def test_short_moves_and_rests_at_the_end(tmp_path: Path, body: str, ends_late: 
     assert abs(places[-1] - wanted[plan.motion.axes.index("X")]) < STANDS_M
 
 
-def test_what_is_typed_is_written_down_and_read_again(examples: Path) -> None:
+def test_contour_option_is_recorded_and_read_back(examples: Path) -> None:
     """Recordings without this option have tables with the rests of their inverses."""
     machine = load_machine("lathe-winder")
     job = read_job(examples / "x-180.prg", machine)

@@ -57,6 +57,6 @@ def test_another_way_is_asked_where_one_has_no_answer(
     assert found.x == pytest.approx([3.0, 0.0])
 
 
-def test_what_cannot_be_met_is_an_answer(asked: list[tuple[str, bool]]) -> None:
+def test_infeasible_program_returns_its_status(asked: list[tuple[str, bool]]) -> None:
     found = solved(COST, equal=(np.ones((1, 2)), [3.0]), below=BELOW, bounds=(0.0, 1.0))
     assert found.status == 2 and asked == [("highs-ds", False)]

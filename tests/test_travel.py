@@ -314,7 +314,7 @@ def classes_with_locked_arrays() -> Iterator[tuple[str, ast.ClassDef]]:
                 yield f"{file.relative_to(SOURCE)}:{node.name}", node
 
 
-def test_whoever_locks_arrays_keeps_them_locked() -> None:
+def test_unpickled_classes_keep_their_arrays_locked() -> None:
     """A class that forgot this would hand out writable arrays in another process."""
     found = dict(classes_with_locked_arrays())
     assert len(found) > 10

@@ -233,7 +233,7 @@ def test_prove_names_the_plan_that_keeps_the_loops_on_the_path(
         ("path", np.hypot(50.0, 20.0)),
     ],
 )
-def test_what_f_means_can_be_chosen(
+def test_feed_mode_sets_the_length_over_which_f_is_the_speed(
     mode: str | None, length_mm: float, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """A move takes its length, counted by the mode, over F: docs/part-programs.md."""

@@ -31,7 +31,7 @@ def _compared(capsys: pytest.CaptureFixture[str], *words: str) -> str:
         ("rosette.dst", "table-embroiderer", "each law"),
     ],
 )
-def test_what_has_no_feed_is_told_its_own_search(
+def test_compare_of_a_job_without_a_feed_names_the_command_that_searches(
     name: str, machine: str, of: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     words = [str(EXAMPLES / name), "-m", machine]

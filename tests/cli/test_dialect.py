@@ -73,7 +73,9 @@ def test_compare_reads_it_as_prove_does(job: Path, capsys: pytest.CaptureFixture
 
 
 @pytest.mark.long(shown_by="test_without_a_dialect_it_is_guessed_and_said")
-def test_what_fastest_prints_reads_it_so(job: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_command_printed_by_fastest_proves_the_same_job(
+    job: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     """The printed command proves the same job, with dialect and radius.
 
     The search may choose only feed and limits, and ends early: a placement limit wider than the

@@ -124,7 +124,7 @@ def test_run_learn_run_over_the_link(
         (["--ends", "100 %", "-o", "two.npz"], "Leave --ends out"),
     ],
 )
-def test_what_cannot_be_learned_is_refused_in_one_line(
+def test_learn_refuses_an_impossible_request_in_one_line(
     asked: list[str | Path],
     tmp_path: Path,
     words: list[str],

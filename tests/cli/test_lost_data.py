@@ -56,7 +56,7 @@ COMPILE = "compile x-180.prg -m mine.toml --interpolation linear --target csv -o
         "compile strap.seam.toml -m stitcher --interpolation linear --target csv -o strap.csv",
     ],
 )
-def test_what_was_read_is_kept(
+def test_input_file_is_never_overwritten(
     words: str, folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     before = bytes_of(folder)

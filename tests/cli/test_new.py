@@ -112,7 +112,7 @@ def test_a_project_that_cannot_be_written_leaves_nothing(
         ("winder", "file/such", "is not a folder"),
     ],
 )
-def test_what_cannot_be_made_is_refused_in_one_line(
+def test_new_refuses_an_impossible_project_in_one_line(
     kind: str, name: str, words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "full").mkdir()
@@ -194,7 +194,7 @@ def test_settings_of_another_kind_are_refused(
     assert said in err
 
 
-def test_what_was_read_is_shown_with_its_line(
+def test_new_lists_every_setting_with_its_line(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Every number: from the settings, from the owner, or assumed."""
@@ -217,7 +217,7 @@ def test_what_was_read_is_shown_with_its_line(
     assert answer["notes"] == ["dump.txt:9: $101=0.000: no axis Y"] and answer["left_out"] == []
 
 
-def test_what_a_controller_does_besides_is_told_with_every_proof(
+def test_every_proof_warns_of_controller_settings_that_the_plan_ignores(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     dump = tmp_path / "m503.txt"

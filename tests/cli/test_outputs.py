@@ -45,7 +45,7 @@ def never(*_: object) -> None:
         (["--recording", "FOLDER"], "it is a folder"),
     ],
 )
-def test_what_cannot_be_written_is_refused_before_the_work(
+def test_unwritable_output_is_refused_before_the_work(
     options: list[str],
     words: str,
     tmp_path: Path,

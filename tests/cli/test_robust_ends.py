@@ -84,7 +84,7 @@ def test_a_proof_says_on_which_machine_it_was_worst(capsys: pytest.CaptureFixtur
     assert "loads" in worst["note"]
 
 
-def test_what_has_no_ends_is_refused_in_a_line(
+def test_options_on_tolerance_ends_are_refused_without_tolerances(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     placer = ("fastest", str(EXAMPLES / "letter-cycle.toml"), "-m", "letter-placer")

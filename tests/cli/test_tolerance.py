@@ -48,7 +48,7 @@ def run(capsys: pytest.CaptureFixture[str], *arguments: str | Path) -> tuple[int
 
 
 @pytest.mark.parametrize("interpolation", sorted(interpolation_names()))
-def test_what_leaves_the_tolerance_is_told(
+def test_prove_warns_of_a_path_outside_the_tolerance(
     interpolation: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     job = tmp_path / "corner.prg"

@@ -27,7 +27,7 @@ def proved(machine: str, interpolation: str) -> object:
         ("optimal", r"planning, motion of 10\.\d+ s, time \d+ of at most 16"),
     ],
 )
-def test_how_far_the_planning_has_come(interpolation: str, said: str) -> None:
+def test_progress_of_planning_is_printed(interpolation: str, said: str) -> None:
     """The program takes 10 s at its feed."""
     PLANNING.reach(0.0)
     assert Telling(stage="planning").doing() == "planning"

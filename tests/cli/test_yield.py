@@ -72,7 +72,7 @@ def test_a_wish_that_so_few_machines_cannot_prove_is_refused(
 
 
 @pytest.mark.parametrize("variants", [3, 40])
-def test_what_goes_one_by_one_is_not_asked_of_thousands(variants: int) -> None:
+def test_sensitivities_of_machines_simulated_one_by_one_use_few_machines(variants: int) -> None:
     """As many machines as are drawn give the yields with halved tolerances."""
     asked: list[int] = []
 
@@ -145,7 +145,7 @@ REQUIRED = '[[criteria]]\nname = "{}"\nlimit = "0.1 mm"\nrequired = {}\n'
         ("seam_error", "false", 0, "4 of 4 machines in spec"),
     ],
 )  # fmt: skip
-def test_what_is_not_measured_is_not_passed_over(
+def test_yield_lists_required_criteria_without_a_measurement(
     name: str,
     required: str,
     status: int,

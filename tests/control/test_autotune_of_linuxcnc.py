@@ -94,7 +94,7 @@ def tuned_by_linuxcnc(folder: Path) -> dict[str, float]:
     raise AssertionError(said.read_text()[-2000:])
 
 
-def test_its_autotune_finds_the_same_limit_and_has_the_same_rule(tmp_path):
+def test_ultimate_gain_and_rule_agree_with_linuxcnc_autotune(tmp_path):
     theirs = tuned_by_linuxcnc(tmp_path)
     file = tmp_path / "coil.toml"
     file.write_text(MACHINE)

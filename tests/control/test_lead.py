@@ -121,7 +121,7 @@ def test_many_plants_at_once_are_the_single_ones():
         (13, 60, 0.999, "outside 1/256 ... 255/256"),
     ],
 )
-def test_what_the_chip_cannot_do_is_refused(crossover, margin, pole, message):
+def test_lead_filter_beyond_the_chip_is_refused(crossover, margin, pole, message):
     with pytest.raises(OptionError) as caught:
         design_lead(axis_loop(load_machine("stitcher-rigid"), "Y"), crossover, margin, pole)
     assert message in str(caught.value)

@@ -58,7 +58,7 @@ def moved(error: np.ndarray) -> float:
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_what_is_lost_is_given_to_its_neighbours(seed: int) -> None:
+def test_levels_beside_a_lost_tick_make_up_for_it(seed: int) -> None:
     """A load moves less than a third as far as with the plain levels, on average."""
     random = np.random.default_rng(seed)
     plain = better = 0.0

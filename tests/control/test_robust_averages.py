@@ -161,7 +161,7 @@ def test_a_mean_is_even_where_the_speed_is_not():
     assert max(off) == pytest.approx(of_mean.error, abs=3e-3)
 
 
-def test_what_serves_a_start_alone_is_better_at_it():
+def test_averages_for_a_start_alone_cost_less_than_averages_for_both_ends():
     """A stop needs the same backwards, and both share the weights that serve both."""
     factors = (1.0, 0.8, 1.2)
     assert found_for(factors, False).cost < 0.98 * found_for(factors, False, True).cost

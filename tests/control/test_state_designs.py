@@ -258,7 +258,7 @@ def test_the_command_writes_a_machine_that_prove_takes(tmp_path, capsys, monkeyp
         (["stitcher", "--design", "cross-coupled", "--coupling", "-1"], "not between 0 and"),
     ],
 )
-def test_what_cannot_be_designed_is_refused_and_nothing_is_written(tmp_path, capsys, words, said):
+def test_impossible_controller_design_is_refused_and_writes_nothing(tmp_path, capsys, words, said):
     with pytest.raises(SystemExit) as stopped:
         main(["control", *words, "-o", str(tmp_path / "no.toml")])
     assert stopped.value.code == 2

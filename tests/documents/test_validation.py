@@ -94,7 +94,7 @@ def test_a_number_without_a_place_is_refused() -> None:
         validation.figures_of(dataclasses.replace(STEP, here="1, 2, 3, 4 ms"))
 
 
-def test_what_the_program_gives_is_written_to_the_printed_digits() -> None:
+def test_validation_table_has_the_program_figures_in_the_printed_digits() -> None:
     wrong = STEP.here.replace(STEP.numbers[0][0], "1.0", 1)
     row = dataclasses.replace(STEP, here=wrong)
     assert validation.value_of("16 542") == (16542.0, pytest.approx(0.51))

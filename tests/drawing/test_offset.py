@@ -173,7 +173,7 @@ def test_a_bend_is_tighter_by_the_allowance_on_its_inside() -> None:
         (polygon([(0, 0), (0.1, 0), (0.1, 0.01), (0, 0.01)]), "inside", "leaves nothing"),
     ],
 )
-def test_what_has_no_offset_is_refused(contour: Contour, side: str, text: str) -> None:
+def test_contour_without_an_offset_is_refused(contour: Contour, side: str, text: str) -> None:
     with pytest.raises(JobError, match=text):
         offset_contour(contour, allowance(0.01, side), "test.svg")
 

@@ -385,7 +385,7 @@ def test_toml_large_arc_and_full_circle() -> None:
     assert [s.line for s in drawing.strokes] == [4, 7]
 
 
-def test_what_ezdxf_leaves_out_is_a_warning(
+def test_entity_that_ezdxf_drops_gives_a_warning(
     examples: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     """An end without a begin among the blocks: ezdxf drops it and only logs it."""

@@ -199,7 +199,7 @@ def test_smooth_curves_reflect_within_their_family_only() -> None:
         ("M0 0 L0x10 2", "'x10' at character 8"),
     ],
 )
-def test_what_the_grammar_forbids_is_refused_with_its_place(data: str, text: str) -> None:
+def test_path_data_outside_the_grammar_is_refused_with_its_place(data: str, text: str) -> None:
     with pytest.raises(JobError) as caught:
         read_svg(f'{HEAD}\n<path stroke="red" d="{data}"/></svg>'.encode(), "t.svg")
     assert text in str(caught.value)

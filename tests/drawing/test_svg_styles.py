@@ -39,7 +39,7 @@ def first_mm(drawing: Drawing) -> list[float]:
         "<style>/* path{} */ <![CDATA[ .k { display : none ; } ]]></style>" + SHOWN,
     ],
 )
-def test_what_a_style_hides_is_not_sewn(body: str) -> None:
+def test_shape_hidden_by_its_style_is_not_sewn(body: str) -> None:
     assert svg(body).strokes == ()
 
 
@@ -57,7 +57,7 @@ def test_what_a_style_hides_is_not_sewn(body: str) -> None:
         + SHOWN,
     ],
 )
-def test_what_a_style_shows_is_sewn(body: str) -> None:
+def test_shape_shown_by_its_style_is_sewn(body: str) -> None:
     assert len(svg(body).strokes) == 1
 
 
@@ -132,7 +132,7 @@ REFUSED = {
 
 
 @pytest.mark.parametrize("written", REFUSED)
-def test_what_is_not_understood_is_refused_with_its_line(written: str) -> None:
+def test_unknown_style_is_refused_with_its_line(written: str) -> None:
     with pytest.raises(JobError) as caught:
         svg(f'<path {written} d="M10 10H20"/>')
     assert REFUSED[written] in str(caught.value)

@@ -37,7 +37,7 @@ def damped(tmp_path):
 
 
 @pytest.mark.usefixtures("forked_machine")
-def test_it_slows_down_as_its_damping_and_its_inertia_alone_make_it(damped):
+def test_coasting_axis_slows_by_damping_and_inertia_alone(damped):
     """v = v0 exp(-c t / J) from the cut on, within 1e-9: the motor neither drives nor brakes."""
     planned = experiment(damped, "X", "coast")
     recording = measure(damped, planned).recording
@@ -88,7 +88,7 @@ def test_nothing_moves_where_nothing_would_stop_it():
         experiment(load_machine("lathe-winder"), "X", "coast")
 
 
-def test_it_ends_within_the_amplitude_by_the_machine_file(damped):
+def test_coast_ends_within_the_amplitude(damped):
     small, large = (experiment(damped, "X", "coast", amplitude=size) for size in (0.03, 0.1))
     for planned, size in ((small, 0.03), (large, 0.1)):
         foreseen = predict(damped, planned)

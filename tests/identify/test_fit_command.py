@@ -74,7 +74,7 @@ def test_from_a_file_that_is_30_percent_off_two_sweeps_give_every_number(capsys,
         assert 0.001 < found.tolerance_si / found.si < 0.06
 
 
-def test_it_says_what_the_fit_is_worth_for_a_job(capsys, tmp_path, monkeypatch):
+def test_fit_compares_the_fastest_before_and_after_for_a_job(capsys, tmp_path, monkeypatch):
     """The search itself is tested elsewhere, and takes minutes over the tolerances."""
     asked = []
 

@@ -176,7 +176,9 @@ def test_an_error_late_in_a_file_has_its_line(tmp_path: Path) -> None:
         ("O5\nX1\nM99\nO1\nM98 P5\nM30\n", "a.nc:2: axis words before any G0 or G1"),
     ],
 )
-def test_what_only_following_the_program_shows(tmp_path: Path, text: str, message: str) -> None:
+def test_block_without_its_mode_is_refused_on_the_way_through_the_program(
+    tmp_path: Path, text: str, message: str
+) -> None:
     """Modes carry over calls; going through the job refuses a block without its mode."""
     assert message in refused(write(tmp_path, text))
 
@@ -230,7 +232,7 @@ def test_a_billion_passes_of_nothing_cost_nothing(tmp_path: Path) -> None:
     assert len(list(read_job(write(tmp_path, text), MACHINE))) == 2
 
 
-def test_what_is_allowed_is_allowed(tmp_path: Path) -> None:
+def test_unusual_but_valid_text_is_read(tmp_path: Path) -> None:
     """N out of order, lower case, blanks, tabs, CR LF, byte order mark, DOS end of file."""
     text = "\ufeff%\r\nn30 g91 g1 x 1. f 100 (a ; b)\r\nN 10\tX-.5;\r\n"
     text += "N20 Y +2 ; note\r\n\r\nM30\r\n%\r\n\x1a"

@@ -215,7 +215,7 @@ def test_a_centre_of_0_along_the_third_axis_is_idle_but_for_linuxcnc(
         ("G59.4 X1", "unknown word G59.4"),
     ],
 )
-def test_what_makes_no_curve_is_refused(
+def test_block_that_makes_no_curve_is_refused(
     tmp_path: Path, xyza: Machine, block: str, said: str
 ) -> None:
     with pytest.raises(JobError, match=re.escape(said)) as caught:

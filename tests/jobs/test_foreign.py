@@ -62,7 +62,7 @@ def test_comments_beside_what_grbl_is_asked_are_taken_out_as_grbl_does(
         ("marlin", "G26", "G26 is a test print"),
     ],
 )
-def test_what_a_file_of_another_tool_has_is_refused_by_its_meaning(
+def test_line_of_another_tool_is_refused_with_its_meaning(
     tmp_path: Path, axy: Machine, dialect: str, line: str, said: str
 ) -> None:
     with pytest.raises(JobError, match=said):

@@ -38,7 +38,7 @@ def test_a_block_behind_a_semicolon_is_a_comment_for_controls(
 
 
 @pytest.mark.parametrize("dialect", ["winder", "fanuc"])
-def test_where_a_semicolon_ends_a_block_another_behind_it_is_refused(
+def test_second_block_behind_a_semicolon_is_refused(
     tmp_path: Path, xyza: Machine, dialect: str
 ) -> None:
     with pytest.raises(JobError, match=r"reads as another block: 'Y2\.'"):
@@ -55,7 +55,7 @@ def test_where_a_semicolon_ends_a_block_another_behind_it_is_refused(
         ("fluidnc", "M67 E0 Q50", "M67 is an analogue output"),
     ],
 )
-def test_what_a_slicer_or_post_writes_is_refused_by_what_it_is(
+def test_line_of_a_slicer_or_postprocessor_is_refused_with_its_meaning(
     tmp_path: Path, xyza: Machine, dialect: str, block: str, said: str
 ) -> None:
     with pytest.raises(JobError, match=said):
@@ -180,7 +180,7 @@ REFUSED = [
 
 
 @pytest.mark.parametrize(("dialect", "block", "said"), REFUSED)
-def test_what_a_control_refuses_is_refused_by_name(
+def test_block_that_the_control_refuses_is_refused_with_its_line(
     tmp_path: Path, xyza: Machine, dialect: str, block: str, said: str
 ) -> None:
     head = HEAD.replace("X5", "X5.")
@@ -201,7 +201,7 @@ def test_what_a_control_refuses_is_refused_by_name(
         ("grbl", "G3 X5 I-5", 5),
     ],
 )
-def test_what_a_control_takes_is_read(
+def test_block_that_the_control_accepts_is_read(
     tmp_path: Path, xyza: Machine, dialect: str, block: str, x_mm: float
 ) -> None:
     job = read(tmp_path, xyza, f"{HEAD}{block}\nM2\n", dialect)
@@ -258,7 +258,7 @@ def test_grbl_keeps_the_radius_of_the_start(
         (numbered(1, "G1 X5") + "\n" + numbered(3, "G1 X6"), "N3 where marlin waits for N2"),
     ],
 )  # fmt: skip
-def test_what_marlin_runs_otherwise_is_refused(
+def test_line_with_another_meaning_in_marlin_is_refused(
     tmp_path: Path, xyza: Machine, line: str, said: str
 ) -> None:
     with pytest.raises(InputError, match=said):
@@ -314,7 +314,7 @@ def test_numbered_lines_of_marlin_are_followed(tmp_path: Path, xyza: Machine) ->
         ("X9", "cannot read 'X9' as a command"),
     ],
 )
-def test_what_klipper_runs_otherwise_is_refused(
+def test_line_with_another_meaning_in_klipper_is_refused(
     tmp_path: Path, xyza: Machine, line: str, said: str
 ) -> None:
     with pytest.raises(InputError, match=said):
@@ -403,7 +403,7 @@ def test_klipper_reads_small_letters_and_passes_numbers_and_checksums_over(
         ('M42 P"out1" S1', "the text in quotes beside M42 is not read"),
     ],
 )  # fmt: skip
-def test_what_reprapfirmware_runs_otherwise_is_refused(
+def test_line_with_another_meaning_in_reprapfirmware_is_refused(
     tmp_path: Path, xyza: Machine, line: str, said: str
 ) -> None:
     with pytest.raises(InputError, match=said) as refused:
@@ -457,7 +457,7 @@ def test_a_long_program_of_reprapfirmware_has_every_command(tmp_path: Path, xyza
         ("G1 Y#<_x>", "parameter #<_x> is where the motors are at the instant"),
     ],
 )
-def test_what_fluidnc_reads_of_itself_is_refused(
+def test_line_that_fluidnc_executes_itself_is_refused(
     tmp_path: Path, xyza: Machine, line: str, said: str
 ) -> None:
     with pytest.raises(JobError, match=said):

@@ -189,7 +189,9 @@ def test_a_winding_program_is_what_it_stands_for(tmp_path: Path, xyza: Machine) 
     assert any("S (line 5)" in warning for warning in ours.warnings)
 
 
-def test_what_hangs_on_the_control_is_told(tmp_path: Path, xyza: Machine) -> None:
+def test_program_that_depends_on_the_state_of_the_control_gives_a_warning(
+    tmp_path: Path, xyza: Machine
+) -> None:
     """A number kept from an earlier program, and one that versions compare differently."""
     job = read(tmp_path, xyza, "G0 X#40 Y#41\no1 if [0.1+0.2 LE 0.3]\no1 endif\nM2\n", "linuxcnc")
     assert any("a.nc:1: parameters" in w and "(#40 #41)" in w for w in job.warnings)
@@ -197,7 +199,7 @@ def test_what_hangs_on_the_control_is_told(tmp_path: Path, xyza: Machine) -> Non
     assert not read(tmp_path, xyza, "#40=1\nG0 X#40\nM2\n", "linuxcnc").warnings
 
 
-def test_its_own_place_follows_coordinate_systems(tmp_path: Path) -> None:
+def test_position_parameter_follows_coordinate_systems(tmp_path: Path) -> None:
     machine = made_machine(tmp_path, "X", "", OFFSETS)
     text = "G54 G0 X5\nG55\nG0 X[#5420+1]\nM2\n"
     assert [p[0] for p in _places(read(tmp_path, machine, text, None))] == [5, 6]
@@ -261,7 +263,9 @@ REFUSED = [
 
 
 @pytest.mark.parametrize(("text", "said"), REFUSED)
-def test_what_does_not_fit_is_refused(tmp_path: Path, xyza: Machine, text: str, said: str) -> None:
+def test_malformed_expression_or_flow_control_is_refused(
+    tmp_path: Path, xyza: Machine, text: str, said: str
+) -> None:
     head = "" if text.startswith("%") else "F60\n"
     with pytest.raises(InputError) as caught:
         list(read(tmp_path, xyza, f"{head}{text}\nG0 X1\nM2\n", "linuxcnc"))
@@ -286,7 +290,7 @@ def test_what_does_not_fit_is_refused(tmp_path: Path, xyza: Machine, text: str, 
         ("o1 error [3]", "the program stops here with error [3]"),
     ],
 )
-def test_what_fluidnc_does_not_take_is_refused(
+def test_expression_that_fluidnc_lacks_is_refused(
     tmp_path: Path, xyza: Machine, text: str, said: str
 ) -> None:
     with pytest.raises(InputError) as caught:

@@ -59,7 +59,7 @@ def test_increments_are_summed_exactly(tmp_path: Path) -> None:
     assert functools.reduce(operator.add, [0.1] * 780) != 78.0  # sum is more exact from 3.12 on
 
 
-def test_what_g0_g4_g28_and_stops_become(tmp_path: Path) -> None:
+def test_g0_g4_g28_and_stops_become_operations(tmp_path: Path) -> None:
     """Rapid moves, dwells in seconds, homing by way of a point, stops, spindle off."""
     job = read(
         tmp_path,

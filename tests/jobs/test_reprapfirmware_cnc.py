@@ -53,7 +53,7 @@ def test_a_cnc_program_is_read(tmp_path: Path, xyza: Machine) -> None:
         ("G1 X{1}\n", "expressions in braces"),
     ],
 )
-def test_what_the_firmware_refuses_is_refused(
+def test_program_that_reprapfirmware_refuses_is_refused(
     tmp_path: Path, xyza: Machine, text: str, said: str
 ) -> None:
     with pytest.raises(InputError, match=said):

@@ -66,7 +66,7 @@ def test_beyond_the_travel_is_refused() -> None:
         plan_job(open_job(EXAMPLES / "x-180.prg", WINDER, options), WINDER, options)
 
 
-def test_it_is_told_with_the_plan() -> None:
+def test_offset_is_recorded_with_the_plan() -> None:
     options = Options(offset=TEXT)
     job = open_job(FILE, WINDER, options)
     assert options_from(describe(job, WINDER, options)) == options
@@ -74,12 +74,12 @@ def test_it_is_told_with_the_plan() -> None:
 
 
 @pytest.mark.parametrize("text", ["Q=1 mm", "X", "X=1", "X=1 deg", "X=1 mm; A=2 deg", ""])
-def test_what_cannot_be_read_is_one_line(text: str) -> None:
+def test_malformed_offset_is_refused(text: str) -> None:
     with pytest.raises(OptionError, match="offset"):
         parse_offset(text, WINDER)
 
 
-def test_what_has_a_place_of_its_own_is_refused() -> None:
+def test_offset_is_refused_for_seams_and_mandrels_with_a_profile() -> None:
     stitcher = load_machine("stitcher")
     seam = open_job(EXAMPLES / "strap.seam.toml", stitcher, Options())
     with pytest.raises(OptionError, match="is no part program"):

@@ -45,7 +45,9 @@ def heights_mm(folder: Path, machine: Machine, text: str) -> list[float]:
     return [point[2] for point in millimetres(read(folder, machine, text, "linuxcnc"))]
 
 
-def test_what_a_post_writes_for_two_tools(tmp_path: Path, with_lengths: Machine) -> None:
+def test_posted_program_with_two_tools_has_the_right_heights(
+    tmp_path: Path, with_lengths: Machine
+) -> None:
     """G53 Z0 is 30 mm above the zero of G54 with any tool or none; the tools go 7, 52.3 up."""
     found = heights_mm(tmp_path, with_lengths, POSTED)
     assert found == pytest.approx([30.0, 30.0, 22.0, 6.0, 6.0, 30.0, 67.3, 50.3, 30.0])

@@ -86,7 +86,7 @@ def test_systems_lie_as_far_apart_as_the_machine_file_says(
         ("G1 X1 F60\nG56 X2\nM2\n", "by G54 and G56: only the control knows"),
     ],
 )
-def test_what_the_control_alone_knows_is_asked_for(
+def test_missing_work_offset_is_requested_in_the_machine_file(
     tmp_path: Path, plain: Machine, with_offsets: Machine, text: str, said: str
 ) -> None:
     machine = with_offsets if "G56" in text else plain

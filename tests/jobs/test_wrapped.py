@@ -110,7 +110,7 @@ def test_linuxcnc_turns_a_wrapped_axis_likewise(tmp_path: Path, wrapped: Machine
         ("G1 A1\nG28 A0", "G28 moves the wrapped axis A"),
     ],
 )
-def test_what_a_wrapped_axis_does_not_do_is_refused(
+def test_impossible_moves_of_a_wrapped_axis_are_refused(
     tmp_path: Path, wrapped: Machine, text: str, said: str
 ) -> None:
     with pytest.raises(JobError, match=said):

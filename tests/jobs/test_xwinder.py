@@ -79,13 +79,15 @@ def test_a_hoop_goes_by_its_turns(tmp_path: Path, winder: Machine) -> None:
     assert programmed_time_s(job, winder) == pytest.approx(51480.0 / 180.0)
 
 
-def test_what_goes_on_for_ever_is_left_out(tmp_path: Path, winder: Machine) -> None:
+def test_endless_motion_is_left_out_with_a_warning(tmp_path: Path, winder: Machine) -> None:
     job = read(tmp_path, winder, "G1 F1 Z8", "G51 Z8 Z038 [Heat Gun Forever]", "G1 Z900")
     assert ends(job) == [pytest.approx((8.0, 0.0))]
     assert any("G51 goes to and fro" in w for w in job.warnings)
 
 
-def test_its_proof_says_what_f_means(tmp_path: Path, winder: Machine) -> None:
+def test_proof_of_an_x_winder_program_states_the_meaning_of_f(
+    tmp_path: Path, winder: Machine
+) -> None:
     """From the file to the lines below a verdict."""
     read(tmp_path, winder, "M4 S30", "G1 F2 Z1 B5")
     proof = prove(tmp_path / "a.X4G", winder, ANY, Options())

@@ -105,7 +105,7 @@ def test_stitches_that_lead_nowhere_are_told(tmp_path: Path) -> None:
         ("a.vp3", b"%vsm%", "cannot be read as VP3"),
     ],
 )
-def test_what_is_no_design_is_refused_in_one_line(
+def test_file_without_a_design_is_refused_in_one_line(
     name: str, content: bytes, said: str, tmp_path: Path
 ) -> None:
     with pytest.raises(JobError, match=said) as refused:

@@ -238,7 +238,7 @@ def test_jumps_trims_and_colours_of_a_pes_keep_their_places() -> None:
         (pes(b"\x01\x01\xfe\xb0")[:554], "its records are cut off at byte 554"),
     ],
 )
-def test_what_is_no_pes_is_refused_by_its_byte(content: bytes, said: str) -> None:
+def test_malformed_pes_is_refused_with_the_byte(content: bytes, said: str) -> None:
     with pytest.raises(JobError, match=said):
         read_pes(content, Place("a.pes"))
 

@@ -55,7 +55,7 @@ def test_a_card_that_was_punched_by_hand(tmp_path: Path) -> None:
     assert [o.name for o in job if isinstance(o, ToolEvent)] == ["trim"]
 
 
-def test_what_is_written_reads_as_it_was(tmp_path: Path) -> None:
+def test_written_t15_reads_back_equal(tmp_path: Path) -> None:
     numbers = random.Random(4)
     units = np.array([[numbers.randint(-171, 171) for _ in "XY"] for _ in range(500)])
     units[0] = (400, -3)
@@ -98,7 +98,7 @@ def test_the_example_as_a_card_is_the_same_design(examples: Path, tmp_path: Path
         ),
     ],
 )
-def test_what_is_not_understood_is_refused_by_offset_and_byte(
+def test_unknown_t15_code_is_refused_with_offset_and_byte(
     content: bytes, said: str, tmp_path: Path
 ) -> None:
     file = tmp_path / "a.t15"

@@ -156,7 +156,7 @@ def test_a_machine_with_y_before_x_writes_the_same_design(
         assert sewn[0] == sewn[1] and len(sewn[0]) >= 60
 
 
-def test_what_dst_lacks_is_told(tmp_path: Path) -> None:
+def test_dst_warns_of_events_that_the_format_lacks(tmp_path: Path) -> None:
     file = tmp_path / "a.u01"
     events = {2: ["slow"], 4: ["fast", "stop"]}
     file.write_bytes(u01_bytes(np.full((6, 2), 20), np.ones(6, dtype=np.int64), events))

@@ -136,7 +136,7 @@ def test_a_finer_bow_is_kept(sewer: Machine, tmp_path: Path) -> None:
     assert unsewn_mm(points, fine) < 0.021
 
 
-def test_what_would_be_left_unsewn_is_an_error(sewer: Machine, tmp_path: Path) -> None:
+def test_seam_that_would_stay_unsewn_is_refused(sewer: Machine, tmp_path: Path) -> None:
     data, _ = rounded(1.0, np.pi)
     with pytest.raises(JobError) as caught:
         sew(tmp_path, sewer, data, least_stitch="2 mm", stitch_length="3 mm")

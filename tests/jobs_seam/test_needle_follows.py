@@ -55,7 +55,7 @@ def way_m(plan: Plan, begin_s: float, end_s: float) -> float:
     return float(np.linalg.norm(np.diff(at, axis=0), axis=1).sum())
 
 
-def test_it_turns_with_the_way_and_slows_at_corners(stitcher: Machine) -> None:
+def test_needle_follows_the_head_and_slows_at_corners(stitcher: Machine) -> None:
     """Each straight stitch is as long as the motion during its turn, at any speed.
 
     A corner is rounded within the tolerance of the path, so that the way is shorter there, by no
@@ -180,7 +180,7 @@ def test_the_machine_as_built_sews_corners_with_it(stitcher: Machine) -> None:
     assert even.result("needle_time_error").status == "failed"
 
 
-def test_where_it_goes_down_is_written_beside_the_rows(stitcher: Machine) -> None:
+def test_needle_entries_are_written_beside_the_rows(stitcher: Machine) -> None:
     """Once at the start, and at the end of every stitch; then the head is at the needle's point."""
     plan = planned(stitcher)
     run = sewn(plan)
@@ -231,7 +231,7 @@ def test_bounds_that_cannot_be_are_refused(
     assert said in str(raised.value)
 
 
-def test_its_own_times_ramp_with_its_drive(stitcher: Machine) -> None:
+def test_needle_times_ramp_within_the_drive_limit(stitcher: Machine) -> None:
     """On programmed chords (``--feed-forward`` alone) it has the times of a slowed needle."""
     both = [
         [

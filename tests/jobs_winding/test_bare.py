@@ -68,7 +68,7 @@ def test_the_layers_on_the_bare_mandrel_end_at_the_drawn_shape(
         ('[band]\nwidth = "8 mm"\n', LAYER, "an outer shape needs the thickness of the band"),
     ],
 )
-def test_what_cannot_be_is_one_line(
+def test_impossible_bare_mandrel_is_refused_in_one_line(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], band: str, layers: str, said: str
 ) -> None:
     file = tmp_path / "thick.wind.toml"

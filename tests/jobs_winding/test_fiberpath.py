@@ -95,7 +95,7 @@ def test_mandrel_band_and_layers_come_back(tmp_path: Path, left: float, right: f
         assert again.circuit.advance == pytest.approx(mine.circuit.advance, abs=1e3 * near)
 
 
-def test_its_rules_hold_for_what_is_written(tmp_path: Path) -> None:
+def test_written_definition_keeps_the_rules_of_fiberpath(tmp_path: Path) -> None:
     """By hand from FiberPath's guide: its coverage is the pattern of the product.
 
     The number of circuits follows from angle and tow and is a multiple of patternNumber; skipIndex
@@ -150,7 +150,7 @@ pole = "right"
         (('radius = "50 mm"\nlen', 'radius = "49 mm"\nlen'), "the cone widens to the right"),
     ],
 )  # fmt: skip
-def test_what_the_format_cannot_hold_is_refused(
+def test_fiberpath_export_refuses_values_that_the_format_cannot_hold(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], change: tuple[str, str], said: str
 ) -> None:
     text = (TUBE.format(left=50, right=50) + LAYERS).replace(*change)
@@ -162,7 +162,9 @@ def test_what_the_format_cannot_hold_is_refused(
     assert not file.parent.exists()
 
 
-def test_what_has_no_place_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_fiberpath_export_warns_of_values_without_a_place_in_the_format(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     text = (TUBE.format(left=50, right=50) + LAYERS).replace("-110 mm", "-100 mm")
     (tmp_path / "made.wind.toml").write_text(text.replace("value = 0.2", "value = 0.3"))
     assert run("wind", tmp_path / "made.wind.toml", "--wind", tmp_path / "a.wind") == 0

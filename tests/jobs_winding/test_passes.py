@@ -124,7 +124,7 @@ def test_the_layers_are_designed_once(
         (("-m", "stitcher", "-o", "a.prg"), "a winding needs the eye of a winder"),
     ],
 )
-def test_what_cannot_be_written_is_refused(
+def test_passes_that_cannot_be_written_are_refused(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],

@@ -13,7 +13,7 @@ from threadline.motion.laws import law, read_law, write_law
 
 
 @pytest.mark.parametrize("name", ["modified-sine", "jerk-limited:1,2,1.5,3,0.5,4,2", "3-4-5"])
-def test_what_is_written_reads_back(name: str, tmp_path: Path) -> None:
+def test_written_law_reads_back_equal(name: str, tmp_path: Path) -> None:
     """Quintic pieces of a thousandth: a sine of frequency 4 pi is met to 1e-9 and better."""
     file = tmp_path / "law.csv"
     exact = law(name)
@@ -54,7 +54,7 @@ def test_time_and_rise_have_any_scale(tmp_path: Path) -> None:
         ("t,s,v,a\n0,0,1,0\n1,0.5,1,0\n2,1,1,0\n", "velocity must be 0"),
     ],
 )
-def test_what_is_no_law_is_refused(text: str, said: str, tmp_path: Path) -> None:
+def test_table_without_a_law_is_refused(text: str, said: str, tmp_path: Path) -> None:
     file = tmp_path / "bad.csv"
     file.write_text(text)
     with pytest.raises(OptionError, match=said.replace("(", r"\(")):

@@ -45,7 +45,7 @@ def test_some_limit_is_reached_at_every_instant(distance, velocity, acceleration
 
 
 @given(SIZES, SIZES, SIZES, st.one_of(st.just(np.inf), SIZES))
-def test_it_arrives_at_rest_and_keeps_its_limits(distance, velocity, acceleration, jerk):
+def test_shortest_move_ends_at_rest_within_its_limits(distance, velocity, acceleration, jerk):
     """Sums at the middles of 20 000 steps reach distance and rest, to their error."""
     move = shortest_move(distance, velocity, acceleration, jerk)
     n = 20_000
@@ -72,6 +72,6 @@ def test_it_arrives_at_rest_and_keeps_its_limits(distance, velocity, acceleratio
         ((1.0, 1.0, 1.0, np.nan), "jerk"),
     ],
 )
-def test_what_is_no_limit_is_refused_by_name(limits, named):
+def test_impossible_limit_is_refused_by_name(limits, named):
     with pytest.raises(OptionError, match=named):
         shortest_move(*limits)

@@ -262,7 +262,7 @@ def test_a_machine_that_moves_is_not_asked(ran: Callable[..., Done]) -> None:
         ({}, "does not name its firmware", 3),
     ],
 )
-def test_what_cannot_be_read_is_said_and_nothing_written(
+def test_connect_reports_unreadable_settings_and_writes_nothing(
     ran: Callable[..., Done], answers: Mapping[str, str], says: str, code: int, tmp_path: Path
 ) -> None:
     with controller(answers, firmware="grbl" if "$I" in answers else "marlin") as (address, _):
@@ -275,7 +275,7 @@ def test_what_cannot_be_read_is_said_and_nothing_written(
 @pytest.mark.parametrize(
     "address", ["nohost", "ftp://127.0.0.1", "http://", "127.0.0.1:99999", "/", "", "grbl:"]
 )
-def test_what_is_no_address_is_refused(ran: Callable[..., Done], address: str) -> None:
+def test_malformed_address_is_refused(ran: Callable[..., Done], address: str) -> None:
     done = ran("connect", address)
     assert done.exit_code in (2, 3)
     assert done.stderr.startswith("error: ")

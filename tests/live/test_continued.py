@@ -100,7 +100,7 @@ def rest_of(name: str) -> tuple[Continued, Recording, Wire]:
 
 
 @pytest.mark.parametrize("name", JOBS)
-def test_what_was_executed_is_read_from_the_trace(name: str, tmp_path: Path) -> None:
+def test_last_executed_row_is_read_from_the_trace(name: str, tmp_path: Path) -> None:
     recording, executed = broken_off(name)
     write_recording(recording, tmp_path / "trace.mcap")
     assert last_executed(tmp_path / "trace.mcap") == executed > 0
@@ -264,7 +264,7 @@ def test_an_approach_beyond_the_travel_is_refused_before_anything_moves() -> Non
         continued(other, broken_off("lathe-winder")[1], at_rest=False)
 
 
-def test_where_commands_are_beside_the_path_it_begins_at_a_rest() -> None:
+def test_run_with_feed_forward_continues_at_a_rest() -> None:
     machine = load_machine("stitcher")
     options = options_of("auto", None, "0.1 mm", feed_forward=True)
     job = open_job(EXAMPLES / "stitcher-even.seam.toml", machine, options)

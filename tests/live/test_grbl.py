@@ -205,7 +205,7 @@ def test_a_stop_is_ahead_of_what_was_sent_and_drops_it() -> None:
         ("beside", "beside the lines"),
     ],
 )
-def test_what_goes_wrong_stops_it_and_is_a_fault(text: str, said: str) -> None:
+def test_error_of_grbl_stops_the_run_with_a_fault(text: str, said: str) -> None:
     model = GrblModel(settings())
     with meeting(model) as (one, _, _):
         lines = LINES.splitlines(keepends=True)
@@ -252,7 +252,7 @@ def test_a_lost_link_is_a_fault_and_what_runs_out_is_bounded(how: str) -> None:
         assert one.state is State.FAULT
 
 
-def test_who_moves_already_is_not_sent_anything_that_moves() -> None:
+def test_moving_controller_is_refused_at_the_meeting() -> None:
     model = GrblModel(settings())
     model.blocks.append((np.array([50.0, 0.0, 0.0, 0.0]), 1.0))
     model.state = "Run"
@@ -319,7 +319,7 @@ def test_reports_that_are_none() -> None:
         status_of("<Idle|MPos:0,nan,0|FS:0,0>")
 
 
-def test_what_runs_out_is_planner_and_receive_buffer() -> None:
+def test_run_out_distance_covers_planner_blocks_and_receive_buffer() -> None:
     """15 blocks, the block under way, and 128 characters: 6 lines of 19 to 21 characters."""
     goes_s, way_m = runs_out(program(), BLOCKS)
     each_s = 60.0 * np.hypot(5.0, 10.0) / 6000.0

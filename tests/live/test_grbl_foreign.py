@@ -146,7 +146,7 @@ def test_a_number_of_thousands_of_digits_is_no_report() -> None:
 @pytest.mark.parametrize(
     "content", [b"x" * 4096, b"[MSG:x]\n" * 512, b"<Idle|MPos:0,0,0,0>\n" * 256]
 )
-def test_who_never_ends_is_left(content: bytes) -> None:
+def test_meeting_gives_up_on_a_peer_that_never_stops_sending(content: bytes) -> None:
     with flooding(content) as address:
         port = Port(address)
         began = time.monotonic()
@@ -157,7 +157,7 @@ def test_who_never_ends_is_left(content: bytes) -> None:
 
 
 @pytest.mark.parametrize("content", [b"x" * 4096, b"[MSG:x]\n" * 512])
-def test_who_never_ends_is_listened_to_for_a_while(content: bytes) -> None:
+def test_flood_of_text_from_the_controller_does_not_block_the_operator(content: bytes) -> None:
     """The operator, who may have asked for a stop, is served in between."""
     with flooding(content) as address:
         port, desk = Port(address), Desk()

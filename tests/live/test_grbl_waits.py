@@ -160,7 +160,7 @@ def test_a_stop_at_an_open_door_ends_at_once() -> None:
         assert one.ended == (RunEnd.STOPPED, "stopped by the operator")
 
 
-def test_its_own_button_lets_it_go_on() -> None:
+def test_resume_button_of_the_controller_ends_a_hold() -> None:
     model = GrblModel(settings(), faster=2.0)
     with meeting(model) as (one, _, kept):
         ready(one, program())

@@ -88,7 +88,7 @@ def test_a_reading_beyond_the_travel_is_a_fault() -> None:
         assert (found == "axis X is beyond its travel") is trips
 
 
-def test_what_was_not_homed_does_not_run_and_what_jogs_does_not_either() -> None:
+def test_run_needs_a_homed_machine_that_does_not_jog() -> None:
     """Neither enabling nor a jog leads to a run: homing and rest are needed."""
     bench = Bench()
     bench.executor.enable()

@@ -151,7 +151,7 @@ def nothing(*_: object, **__: object) -> str:
 GUARDS: dict[str, tuple[Take, Callable[[], None]]] = {
     "the tail": (
         attribute(Ahead, "_brake", lambda _: np.empty(0)),
-        lambda: test_tail.test_where_refills_stop_at_speed_it_brakes_within_the_limits(70),
+        lambda: test_tail.test_machine_brakes_within_its_limits_when_refills_stop_at_speed(70),
     ),
     "the depth": (
         attribute(executor, "DEPTH_S", 0.4),
@@ -199,11 +199,11 @@ GUARDS: dict[str, tuple[Take, Callable[[], None]]] = {
     ),
     "homing before a run": (
         transition(State.ENABLED, Cause.START, State.RUNNING),
-        test_guards.test_what_was_not_homed_does_not_run_and_what_jogs_does_not_either,
+        test_guards.test_run_needs_a_homed_machine_that_does_not_jog,
     ),
     "no run out of a jog": (
         transition(State.JOGGING, Cause.START, State.RUNNING),
-        test_guards.test_what_was_not_homed_does_not_run_and_what_jogs_does_not_either,
+        test_guards.test_run_needs_a_homed_machine_that_does_not_jog,
     ),
     "no motion on a new connection": (
         transition(State.DISABLED, Cause.JOG, State.JOGGING),
@@ -247,7 +247,7 @@ GUARDS: dict[str, tuple[Take, Callable[[], None]]] = {
     ),
     "the end of travel of a jog": (
         attribute(JogAhead, "extend", without_end),
-        lambda: test_jog.test_it_stops_at_the_end_of_its_travel(1.0),
+        lambda: test_jog.test_jog_stops_at_the_end_of_travel(1.0),
     ),
     "the rest that a hold waits for": (
         attribute(Executor, "start", held_anywhere),
@@ -297,7 +297,7 @@ GUARDS: dict[str, tuple[Take, Callable[[], None]]] = {
     ),
     "the loops that settle before a jog is over": (
         attribute(JogAhead, "settled", lambda *_: True),
-        lambda: test_jog.test_who_is_idle_after_it_stands_where_it_is_told("X", "let go"),
+        lambda: test_jog.test_idle_machine_after_a_jog_stands_at_the_reported_place("X", "let go"),
     ),
     "the stop of homing": (
         attribute(FarEnd, "home", lambda one, _wakes, _stopped: (np.zeros(3, np.int64), {})),

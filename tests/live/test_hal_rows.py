@@ -71,7 +71,7 @@ def faults(reports: list[Message]) -> list[str]:
     return [event[3] for one in reports for event in one.head["events"] if event[1] == "fault"]
 
 
-def test_what_hal_tells_as_it_was_sent_is_no_fault() -> None:
+def test_rows_reported_by_hal_as_sent_raise_no_fault() -> None:
     reports = heard(Played(lambda places: places), 4)
     assert faults(reports) == []
     x = np.concatenate([one.arrays["X.commanded"] for one in reports])

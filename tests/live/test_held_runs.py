@@ -65,7 +65,7 @@ def alike(ours: Verdict, other: Verdict) -> bool:
     return statuses[0] == statuses[1] and ours.passed == other.passed
 
 
-def test_it_is_judged_as_the_run_that_nobody_held(plan: Plan, verdict: Verdict) -> None:
+def test_held_run_has_the_verdict_of_a_run_without_holds(plan: Plan, verdict: Verdict) -> None:
     assert verdict.passed
     assert alike(verdict, judge([simulate(plan.commands, winder())], plan, SPEC))
     ahead = verdict.result("progress_error")
@@ -93,7 +93,7 @@ def test_every_file_keeps_the_record(
     assert judge([read_recording(file)], plan, SPEC).results == verdict.results
 
 
-def test_what_the_load_does_in_a_hold_is_judged(plan: Plan, held: Recording) -> None:
+def test_load_motion_during_a_hold_is_judged(plan: Plan, held: Recording) -> None:
     """A load that slips by 0.6 mm during a hold is out of spec, as at any other time."""
     blocks = []
     for block in held:

@@ -53,7 +53,7 @@ def test_motors_that_are_told_the_path_leave_nothing() -> None:
         ("stitcher-test-path.seam.toml", "stitcher", {"feed_forward_s": 0.04}),
     ],
 )
-def test_it_is_the_distance_of_the_rows_from_the_path(
+def test_deviation_of_a_hold_is_the_distance_of_rows_from_the_path(
     job: str, machine: str, options: dict[str, object]
 ) -> None:
     """Every place of the table is compared with each of 40 000 points of the path."""
@@ -117,7 +117,7 @@ def test_a_hold_in_a_rest_stands_there() -> None:
     assert bench.commanded()[-1].tolist() == rows.sum(axis=0).tolist()
 
 
-def test_where_loads_would_come_too_far_along_the_path_it_waits_for_a_rest() -> None:
+def test_hold_waits_for_a_rest_if_loads_would_run_on_along_the_path() -> None:
     """At 36 mm/s the motor is 29.4 ms ahead of its load, which catches up in a hold."""
     plan = planned("x-180.prg", "lathe-winder", feed_forward_s=0.04)
     meant, table = plan.motion.of_loads, tick_table(plan.commands)
@@ -145,7 +145,7 @@ def test_where_loads_would_come_too_far_along_the_path_it_waits_for_a_rest() -> 
 
 
 @pytest.mark.parametrize(("rest", "long"), [(0, False), (1, False), (2, True), (40, True)])
-def test_whether_there_is_a_rest_is_known_before(rest: int, long: bool) -> None:
+def test_plan_knows_whether_a_hold_finds_a_rest(rest: int, long: bool) -> None:
     """Compared with the executor: it stands before the end if the plan says that it can."""
     rows = there_and_back(40.0, cruise=30)
     whole = np.concatenate([np.zeros((30, 3), np.int64), rows, np.zeros((rest, 3), np.int64), rows])
@@ -180,7 +180,7 @@ def test_braking_that_shakes_the_load_out_of_spec_is_foreseen() -> None:
     assert words.endswith("so a hold stands at the end, for there is no rest")
 
 
-def test_what_a_hold_was_foreseen_to_do_is_what_it_does() -> None:
+def test_simulated_hold_has_the_predicted_error() -> None:
     """The executor brakes the simulated machine at the fastest row: its trace has this error.
 
     The test uses only the row from the prediction.
@@ -299,7 +299,7 @@ def test_a_hold_that_stays_in_spec_is_left_alone() -> None:
     assert spoiled_by_holds(slow, load_spec(None, slow.machine)) == ()
 
 
-def test_what_fails_without_a_hold_is_no_fault_of_holds() -> None:
+def test_failure_without_a_hold_is_not_blamed_on_holds() -> None:
     """A plan that is out of specification by itself is run with an override."""
     plan = planned("helix.gcode", "stepper-winder")
     spec = load_spec(None, plan.machine)

@@ -149,7 +149,7 @@ def test_positions_from_before_homing_are_forgotten() -> None:
     assert bench.executor.latest == {"door.input": 1.0}
 
 
-def test_what_a_machine_tells_with_its_answer_to_homing_is_known() -> None:
+def test_values_in_the_reply_to_homing_are_known() -> None:
     """Earlier positions are still forgotten."""
     bench = Bench().ready()
     bench.wire.machine._at_home_samples = lambda: {"X.load": np.zeros(1), "door.input": np.ones(1)}

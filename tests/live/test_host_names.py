@@ -22,7 +22,7 @@ def test_hosts(text: str) -> None:
     ["", " ", "a b", "a..b", ".a", "a/b", "a:b", "1.2.3.256", "1.2.3.4.5", "x" * 64, "a.\0",
      "[::1]", ".".join(["x" * 60] * 5), "::g"],
 )  # fmt: skip
-def test_what_is_no_host(text: str) -> None:
+def test_malformed_host_names_are_recognised(text: str) -> None:
     assert not is_host(text)
 
 
@@ -54,7 +54,7 @@ def test_addresses_of_a_controller() -> None:
         ("dev/ttyUSB0", "there is no colon between host and port"),
     ],
 )
-def test_what_is_no_address_of_a_controller(address: str, says: str) -> None:
+def test_malformed_controller_address_is_refused(address: str, says: str) -> None:
     with pytest.raises(OptionError, match="is not an address of a controller") as refused:
         check_address(address)
     assert says in str(refused.value)

@@ -40,7 +40,7 @@ def test_at_manual_feed_it_ends_within_26_mm_of_the_last_renewal() -> None:
     assert "nobody has renewed its lease for 0.25 s" in (bench.executor.ended or ("", ""))[1]
 
 
-def test_it_goes_on_while_it_is_renewed_and_no_longer() -> None:
+def test_jog_lasts_only_while_it_is_renewed() -> None:
     bench = jogged()
     for tick in range(20, 400, 20):
         bench.go_on(tick)
@@ -56,7 +56,7 @@ def test_it_goes_on_while_it_is_renewed_and_no_longer() -> None:
 
 @settings(max_examples=15)
 @given(st.integers(0, 49), st.sampled_from([-1.0, -0.3, 0.5, 1.0]))
-def test_whoever_dies_it_stops_within_10_mm(tick: int, share: float) -> None:
+def test_jog_stops_within_10_mm_after_the_link_dies(tick: int, share: float) -> None:
     """100 ms at 72.3 mm/s are 7.2 mm; from 20 counts per tick it brakes in 0.4 mm."""
     bench = jogged(velocity=share * FAST)
     bench.go_on(tick)
@@ -94,7 +94,7 @@ def test_a_stop_ends_it_ahead_of_renewals() -> None:
 
 
 @pytest.mark.parametrize("share", [1.0, 0.35])
-def test_it_stops_at_the_end_of_its_travel(share: float) -> None:
+def test_jog_stops_at_the_end_of_travel(share: float) -> None:
     start = np.array([0, round(495.0 / MM), 0])
     bench = jogged(velocity=share * FAST, start=start)
     for _ in range(40):
@@ -109,7 +109,7 @@ def test_it_stops_at_the_end_of_its_travel(share: float) -> None:
 
 
 @pytest.mark.parametrize("axis", ["A", "X", "Y"])
-def test_it_keeps_acceleration_and_jerk(axis: str) -> None:
+def test_jog_keeps_the_limits_of_acceleration_and_jerk(axis: str) -> None:
     """By differences of the sent rows, tail included; rounding adds half a count, doubled each."""
     machine = winder()
     k = machine.axis_names.index(axis)
@@ -125,7 +125,7 @@ def test_it_keeps_acceleration_and_jerk(axis: str) -> None:
     assert np.diff(places).max() == pytest.approx(20, abs=1)
 
 
-def test_what_is_no_jog_is_refused() -> None:
+def test_impossible_jog_is_refused() -> None:
     bench = Bench()
     with pytest.raises(CommandError, match="'jog' is not possible while the machine is disabled"):
         bench.executor.jog("X", FAST)
@@ -170,7 +170,7 @@ def test_a_move_ends_on_its_count(count: int) -> None:
 
 @pytest.mark.parametrize("how", ["move", "stop", "let go", "lease"])
 @pytest.mark.parametrize("axis", ["A", "X", "Y"])
-def test_who_is_idle_after_it_stands_where_it_is_told(axis: str, how: str) -> None:
+def test_idle_machine_after_a_jog_stands_at_the_reported_place(axis: str, how: str) -> None:
     """The loop lags by 29 ms, 20 counts at the manual feed: the taught place is the true one.
 
     The friction of 0.01 N that holds the simulated loops back is less than a count of any axis.
@@ -226,7 +226,7 @@ def test_a_move_keeps_the_travel() -> None:
 
 @pytest.mark.parametrize("tick", [15, 40, 65])
 @pytest.mark.parametrize("between", [False, True])
-def test_who_lets_go_twice_has_let_go(tick: int, between: bool) -> None:
+def test_second_let_go_changes_nothing(tick: int, between: bool) -> None:
     """This also holds if both come late, when the machine refuses what begins in its past."""
     bench = jogged()
     executor = bench.executor

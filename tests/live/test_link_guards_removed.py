@@ -154,7 +154,7 @@ GUARDS: dict[str, tuple[Take, Callable[[], None]]] = {
     ),
     "the scan at which all is off": (
         attribute(SwitchingSession, "switch_off_at", nothing),
-        lambda: test_scans.test_where_refills_stop_it_switches_off_by_itself(160),
+        lambda: test_scans.test_outputs_switch_off_when_refills_stop(160),
     ),
     "the scan at which all is off, at a wait": (
         attribute(SwitchingSession, "switch_off_at", nothing),
@@ -166,7 +166,7 @@ GUARDS: dict[str, tuple[Take, Callable[[], None]]] = {
     ),
     "turns that are sent ahead": (
         attribute(executor, "DEPTH_S", 5.0),
-        lambda: test_turns.test_where_refills_stop_it_rests_after_the_turn_under_way(900),
+        lambda: test_turns.test_frame_rests_after_the_present_turn_when_refills_stop(900),
     ),
     "turns that are taken back": (
         attribute(StitchingSession, "drop_from", nothing),
@@ -182,7 +182,7 @@ GUARDS: dict[str, tuple[Take, Callable[[], None]]] = {
     ),
     "a controller that moves": (
         attribute(Controller, "ask_status", always_idle),
-        test_grbl.test_who_moves_already_is_not_sent_anything_that_moves,
+        test_grbl.test_moving_controller_is_refused_at_the_meeting,
     ),
     "start and travel of a program": (
         attribute(GrblRun, "refuse_program", nothing),
@@ -194,7 +194,7 @@ GUARDS: dict[str, tuple[Take, Callable[[], None]]] = {
     ),
     "beside the lines": (
         beside_is_well,
-        lambda: test_grbl.test_what_goes_wrong_stops_it_and_is_a_fault("beside", "beside the"),
+        lambda: test_grbl.test_error_of_grbl_stops_the_run_with_a_fault("beside", "beside the"),
     ),
     "characters that are counted": (
         attribute(CharacterCount, "fits", lambda *_: True),

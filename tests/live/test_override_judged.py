@@ -55,7 +55,9 @@ def overridden(plan: Plan) -> Recording:
     return bench.kept.recording(plan)
 
 
-def test_it_is_judged_as_a_run_at_the_whole_feed(plan: Plan, overridden: Recording) -> None:
+def test_overridden_run_has_the_verdict_of_a_run_at_full_feed(
+    plan: Plan, overridden: Recording
+) -> None:
     verdict = judge([overridden], plan, SPEC)
     assert verdict.passed
     assert alike(verdict, judge([simulate(plan.commands, winder())], plan, SPEC))
@@ -76,7 +78,7 @@ def test_without_what_it_tells_it_is_seconds_behind(plan: Plan, overridden: Reco
     assert not verdict.passed
 
 
-def test_what_the_load_does_meanwhile_is_judged(plan: Plan, overridden: Recording) -> None:
+def test_load_motion_during_an_override_is_judged(plan: Plan, overridden: Recording) -> None:
     blocks = []
     for block in overridden:
         first, load = block.first_tick["servo"], block.samples["X.load"].copy()
@@ -174,7 +176,7 @@ def test_a_plan_that_stays_in_spec_may_be_overridden(tmp_path: Path) -> None:
     assert may.notes == []
 
 
-def test_what_fails_at_the_whole_feed_is_no_fault_of_an_override(tmp_path: Path) -> None:
+def test_failure_at_full_feed_is_not_blamed_on_an_override(tmp_path: Path) -> None:
     plan, spec = zigzag(tmp_path)
     hard = replace(spec, criteria=tuple(replace(c, limit=c.limit and 1e-7) for c in spec.criteria))
     assert spoiled_by_override(plan, hard, Hold.AT_ONCE) == (100, ())

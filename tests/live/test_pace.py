@@ -60,7 +60,7 @@ def test_a_run_that_nothing_held_tells_nothing() -> None:
     assert not [e for block in bench.kept.blocks for e in block.events if e.kind == "plan"]
 
 
-def test_what_is_played_when_refills_stop_is_told_too() -> None:
+def test_rows_played_after_refills_stop_are_reported() -> None:
     bench = Bench().ready()
     bench.executor.start(table_of_counts(ROWS))
     bench.go_on(130)

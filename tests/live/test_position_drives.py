@@ -34,7 +34,7 @@ def helix(machine: Machine) -> TickTable:
 
 
 @pytest.mark.parametrize("name", ["stepper-winder", "limits-alone"])
-def test_undisturbed_it_is_the_simulation_to_the_bit(name: str, tmp_path: Path) -> None:
+def test_undisturbed_run_equals_the_simulation_to_the_bit(name: str, tmp_path: Path) -> None:
     file = tmp_path / "limits.toml"
     file.write_text(LIMITS_ALONE, encoding="utf-8")
     machine = load_machine(str(file) if name == "limits-alone" else name)
@@ -99,7 +99,7 @@ def test_a_stepper_has_no_encoder_to_fail() -> None:
         parse_fault("stuck-encoder:X@1 s", load_machine("stepper-winder"))
 
 
-@pytest.mark.long(shown_by="test_undisturbed_it_is_the_simulation_to_the_bit")
+@pytest.mark.long(shown_by="test_undisturbed_run_equals_the_simulation_to_the_bit")
 @pytest.mark.usefixtures("forked_machine")
 def test_the_command_records_what_it_proves(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]

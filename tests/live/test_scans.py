@@ -65,7 +65,7 @@ def outputs(made: Bench) -> np.ndarray:
     return np.stack([made.channel(name) for name in placer().outputs], axis=1)
 
 
-def test_undisturbed_it_is_the_simulation_to_the_bit() -> None:
+def test_undisturbed_run_equals_the_simulation_to_the_bit() -> None:
     made = bench()
     made.go_on()
     assert made.executor.ended == (RunEnd.COMPLETED, "")
@@ -147,7 +147,7 @@ def test_a_hold_lasts_longer_than_a_wait_may() -> None:
 
 
 @pytest.mark.parametrize("scan", [20, 160, ACROSS, 600])
-def test_where_refills_stop_it_switches_off_by_itself(scan: int) -> None:
+def test_outputs_switch_off_when_refills_stop(scan: int) -> None:
     made = bench()
     made.go_on(scan)
     made.wire.mute = True

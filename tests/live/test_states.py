@@ -20,7 +20,7 @@ TABLE = table_of_counts(there_and_back(cruise=40))
 
 @pytest.mark.parametrize("state", State)
 @pytest.mark.parametrize("cause", Cause)
-def test_what_is_not_in_the_table_is_refused(state: State, cause: Cause) -> None:
+def test_command_without_a_transition_is_refused(state: State, cause: Cause) -> None:
     if (state, cause) in TRANSITIONS:
         assert next_state(state, cause) is TRANSITIONS[state, cause]
     else:

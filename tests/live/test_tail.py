@@ -31,7 +31,7 @@ def off_path(counts: np.ndarray) -> float:
     return float(max(np.abs(counts[:, 1] - x).max(), np.abs(counts[:, 2] - y).max()))
 
 
-def test_undisturbed_it_is_the_simulation_to_the_bit() -> None:
+def test_undisturbed_run_equals_the_simulation_to_the_bit() -> None:
     table = table_of_counts(ROWS)
     bench = Bench().ready()
     bench.executor.start(table)
@@ -58,7 +58,7 @@ def test_no_more_than_a_tenth_of_a_second_is_held() -> None:
 
 
 @pytest.mark.parametrize("tick", [70, 130, 250])
-def test_where_refills_stop_at_speed_it_brakes_within_the_limits(tick: int) -> None:
+def test_machine_brakes_within_its_limits_when_refills_stop_at_speed(tick: int) -> None:
     """At 144 mm/s a standstill at once would take three times the acceleration of X."""
     bench = Bench().ready()
     bench.executor.start(table_of_counts(there_and_back(peak=40.0, cruise=100)))
@@ -76,7 +76,7 @@ def test_where_refills_stop_at_speed_it_brakes_within_the_limits(tick: int) -> N
 
 @settings(max_examples=25)
 @given(st.integers(1, len(ROWS) - 1))
-def test_where_refills_stop_it_brakes_on_the_path(tick: int) -> None:
+def test_machine_brakes_on_the_path_when_refills_stop(tick: int) -> None:
     """At any instant: within the limits, on the path, within 100 ms and the braking distance."""
     bench = Bench().ready()
     bench.executor.start(table_of_counts(ROWS))
@@ -120,7 +120,7 @@ def test_braking_and_rising_keep_every_limit(place: float, peak: float) -> None:
         assert (asked <= limits.acceleration + ROUNDING).all(), (place, peak, asked)
 
 
-@pytest.mark.long(shown_by="test_where_refills_stop_it_brakes_on_the_path")
+@pytest.mark.long(shown_by="test_machine_brakes_on_the_path_when_refills_stop")
 @settings(max_examples=20)
 @given(st.lists(st.integers(0, 260), min_size=1, max_size=4), st.booleans())
 def test_hold_and_resume_skip_no_row_and_repeat_none(ticks: list[int], early: bool) -> None:

@@ -74,7 +74,7 @@ def commanded(made: Bench) -> np.ndarray:
     return np.stack([made.channel(f"{name}.commanded") for name in "XY"], axis=1)
 
 
-def test_undisturbed_it_is_the_simulation_to_the_bit() -> None:
+def test_undisturbed_run_equals_the_simulation_to_the_bit() -> None:
     made = bench()
     made.go_on()
     assert made.executor.ended == (RunEnd.COMPLETED, "")
@@ -123,7 +123,7 @@ def test_hold_and_resume_sew_every_stitch_once(ticks: list[int]) -> None:
 
 
 @pytest.mark.parametrize("tick", [1, 900, 2503])
-def test_where_refills_stop_it_rests_after_the_turn_under_way(tick: int) -> None:
+def test_frame_rests_after_the_present_turn_when_refills_stop(tick: int) -> None:
     made = bench()
     made.go_on(tick)
     at = made.executor.tick

@@ -47,7 +47,7 @@ def test_a_message_comes_back(kind: str, head: dict[str, object], rows: int, axe
 
 
 @given(st.binary(max_size=60))
-def test_other_bytes_are_refused(content: bytes) -> None:
+def test_bytes_that_are_no_message_are_refused(content: bytes) -> None:
     with pytest.raises(LinkFaultError):
         decoded(content)
 

@@ -194,7 +194,7 @@ def test_jumps_of_reprapfirmware_are_a_minute_s(tmp_path: Path) -> None:
     assert read_settings(tmp_path / "settings.txt").axes["X"].microsteps.value == 16.0
 
 
-def test_what_moves_counts_at_its_motor(tmp_path: Path) -> None:
+def test_moved_mass_is_reflected_to_the_motor_inertia(tmp_path: Path) -> None:
     """J = rotor + m r^2: 80 step/mm of 200 x 16 are 40 mm a turn, r 6.366 mm, as with GT2."""
     made = machine(tmp_path, FLUIDNC, "rotary=A", "rotor=3e-5 kg m^2")
     assert made.bodies["x"].inertia.si == pytest.approx(3e-5 + 1.2 * (0.02 / math.pi) ** 2)
@@ -339,7 +339,7 @@ def test_answers_that_cannot_be_are_refused(tmp_path: Path, answers: list[str], 
         (KLIPPER + "[input_shaper]\nshaper_freq_x: 40\n", "[input_shaper] shapes the motion"),
     ],
 )
-def test_what_is_not_heeded_is_told(text: str, said: str, tmp_path: Path) -> None:
+def test_ignored_setting_is_reported_with_its_line(text: str, said: str, tmp_path: Path) -> None:
     file = tmp_path / "settings.txt"
     file.write_text(text)
     (unheeded,) = read_settings(file).unheeded
@@ -361,7 +361,7 @@ def test_a_shaper_that_is_off_is_not_told(off: str, tmp_path: Path) -> None:
         ("axes: {x: {steps_per_mm: 80}}\n", "each setting of an axis needs a separate line"),
     ],
 )
-def test_what_stands_elsewhere_is_refused(tmp_path: Path, text: str, said: str) -> None:
+def test_axis_defined_in_another_file_is_refused(tmp_path: Path, text: str, said: str) -> None:
     """An axis in another file was left out without a message."""
     file = tmp_path / "config.yaml"
     file.write_text(text)
@@ -369,7 +369,7 @@ def test_what_stands_elsewhere_is_refused(tmp_path: Path, text: str, said: str) 
         read_settings(file)
 
 
-def test_what_save_config_has_saved_is_in_force(tmp_path: Path) -> None:
+def test_values_saved_by_save_config_override_the_file(tmp_path: Path) -> None:
     """Klipper appends it as comments in a form of its own, which override the lines above."""
     saved = """
 #*# <---------------------- SAVE_CONFIG ---------------------->

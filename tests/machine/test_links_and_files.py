@@ -74,7 +74,7 @@ def test_the_numbers_of_a_link_are_of_one_kind(refused, key, value, unit) -> Non
     assert f"with a stiffness in N*m/rad it must be in {unit}" in message
 
 
-def test_what_is_missing_is_told(refused) -> None:
+def test_missing_key_is_named_with_its_table(refused) -> None:
     text = edit('resistance = "0.4 ohm +- 10 %, printed: motor S19-1A"\n', "")
     message = refused(text)
     assert "'drives.x.resistance' is missing" in message

@@ -79,7 +79,7 @@ def test_8_a_give_twice_the_acceleration_of_4_a() -> None:
         assert "8 A" in axis.acceleration.note
 
 
-def test_what_no_code_reads_may_be_left_out(tmp_path) -> None:
+def test_unused_operator_keys_may_be_left_out(tmp_path) -> None:
     text = WINDER
     for key in ("manual_feed", "limit_feed", "knots_between"):
         text = re.sub(rf"^{key} = .*\n", "", text, flags=re.MULTILINE)
@@ -200,7 +200,7 @@ def test_unknown_keys_name_the_nearest_and_their_line(refused, name) -> None:
     assert f"mine.toml:{first}: " in message
 
 
-def test_what_is_found_out_from_a_file_is_not_offered_as_a_key(refused) -> None:
+def test_derived_fields_are_not_listed_as_known_keys(refused) -> None:
     message = refused("zzqqxx = 1\n" + edit("", ""))
     known = re.search(r"unknown key 'zzqqxx'. Known: (.*)\.", message)
     assert known is not None
@@ -267,7 +267,7 @@ def test_wrong_values_say_what_and_where(refused, name) -> None:
         ('stretch = { x = "1 ex', 'stretch = { x = "0 ex', "links.belt.stretch: every"),
     ],
 )
-def test_what_moves_nothing_is_refused(refused, old, new, where) -> None:
+def test_part_with_zero_coefficients_is_refused(refused, old, new, where) -> None:
     """A drive with its only coefficient 0, and a spring that never stretches."""
     link = (
         "\n[links.belt]\n"

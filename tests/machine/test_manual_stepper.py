@@ -42,7 +42,7 @@ def test_a_manual_stepper_of_klipper_is_the_axis_that_a_macro_makes_it(tmp_path:
     assert not read_settings(tmp_path / "settings.txt").unheeded
 
 
-def test_what_a_manual_stepper_does_not_say_is_asked_for(tmp_path: Path) -> None:
+def test_missing_limits_of_a_manual_stepper_are_requested(tmp_path: Path) -> None:
     taken = TAKEN.replace("LIMIT_VELOCITY=400 LIMIT_ACCEL=1500 ", "")
     with pytest.raises(OptionError, match=r"rate\.A=.*acceleration\.A="):
         machine(tmp_path, X_ALONE + MANDREL + taken, "rotary=A")

@@ -87,7 +87,7 @@ def test_a_tool_is_among_what_is_missing_where_an_axis_turns(tmp_path: Path) -> 
     assert "'tool' (like [tool] radius = \"100 mm exact, assumed\")" in refused(tmp_path, turning)
 
 
-def test_what_is_proposed_is_accepted(tmp_path: Path) -> None:
+def test_proposed_lines_for_missing_keys_are_accepted(tmp_path: Path) -> None:
     """Adding the proposals of every message leads to a machine: the forms are right."""
     tables = {key: value for key, value in tomllib.loads(BARE).items()}
     for _ in range(12):

@@ -35,7 +35,9 @@ PLACER = (resources.files("threadline.machine") / "library" / "letter-placer.tom
         ),
     ],
 )
-def test_what_does_not_fit_together(tmp_path: Path, old: str, new: str, message: str) -> None:
+def test_inconsistent_parts_of_an_on_off_machine_are_refused(
+    tmp_path: Path, old: str, new: str, message: str
+) -> None:
     path = tmp_path / "mine.toml"
     text = PLACER.replace(old, new, 1)
     assert text != PLACER

@@ -57,9 +57,7 @@ TABLES = {
 
 @pytest.mark.parametrize("page", PAGES)
 @pytest.mark.parametrize("text", [GRBL, FIRST], ids=["grbl", "marlin"])
-def test_what_a_page_puts_around_a_dump_changes_nothing(
-    text: str, page: str, tmp_path: Path
-) -> None:
+def test_text_of_a_web_page_around_a_dump_is_ignored(text: str, page: str, tmp_path: Path) -> None:
     assert numbers(read(tmp_path, PAGES[page](text))) == numbers(read(tmp_path, text))
 
 
@@ -111,9 +109,7 @@ MAILS: dict[str, Callable[[str], bytes]] = {
 
 @pytest.mark.parametrize("mail", MAILS)
 @pytest.mark.parametrize("name", FILES)
-def test_what_a_mail_puts_around_a_file_changes_nothing(
-    name: str, mail: str, tmp_path: Path
-) -> None:
+def test_quoting_by_a_mail_around_a_file_is_ignored(name: str, mail: str, tmp_path: Path) -> None:
     """Quoted commands of RepRapFirmware were read as Marlin's, in other units."""
     plain = read(tmp_path, FILES[name], name)
     pasted = read(tmp_path, MAILS[mail](FILES[name]), name)

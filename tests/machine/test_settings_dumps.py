@@ -118,7 +118,7 @@ OF_GRBL = ("UGS", "explained", "backup")
     [(GRBL, name) for name in TERMINALS]
     + [(FIRST, name) for name in TERMINALS if name not in OF_GRBL],
 )
-def test_what_terminals_write_around_a_dump_changes_nothing(
+def test_text_of_a_terminal_around_a_dump_is_ignored(
     text: str, terminal: str, tmp_path: Path
 ) -> None:
     plain = numbers(read(tmp_path, text))
@@ -141,7 +141,7 @@ def test_the_last_whole_dump_of_a_log_counts(tmp_path: Path) -> None:
     assert numbers(read(tmp_path, older + GRBL + cut)) == numbers(read(tmp_path, GRBL))
 
 
-def test_what_an_older_dump_did_besides_is_over(tmp_path: Path) -> None:
+def test_warnings_come_only_from_the_last_dump(tmp_path: Path) -> None:
     older = FIRST.replace("M204 S3000", "M204 S2000") + "echo:  M852 I0.0100\n"
     newer = FIRST + "echo:  M852 I0.0200\n"
     (unheeded,) = read(tmp_path, older + newer).unheeded
@@ -151,7 +151,9 @@ def test_what_an_older_dump_did_besides_is_over(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("behind", [">>> $110=6000\nok\n", ">>> $$\n$11=0.020\n$100=111.000\n"])
-def test_what_contradicts_the_last_whole_dump_is_refused(behind: str, tmp_path: Path) -> None:
+def test_setting_that_contradicts_the_last_whole_dump_is_refused(
+    behind: str, tmp_path: Path
+) -> None:
     """A setting sent after the dump, or a cut-off dump: neither is passed over."""
     with pytest.raises(MachineError, match=r"is \S+ here and \S+ on line \d+"):
         read(tmp_path, GRBL + behind)
@@ -185,7 +187,7 @@ def test_no_axis_that_turns_is_an_answer(answer: str, tmp_path: Path) -> None:
     assert "rotary" not in text and "[axes.A]" in text
 
 
-def test_which_axes_turn_is_not_asked_of_x_y_z(tmp_path: Path) -> None:
+def test_settings_of_x_y_z_need_no_answer_about_rotary_axes(tmp_path: Path) -> None:
     assert not missing_answers(read(tmp_path, GRBL), parse_answers([]), limits_only=True)
 
 
@@ -311,7 +313,9 @@ Acceleration: P=print, R=retract, T=travel
         ("echo:  M201 F20 G100", "frequency"),
     ],
 )
-def test_what_marlin_does_besides_is_told_and_kept(line: str, said: str, tmp_path: Path) -> None:
+def test_ignored_marlin_settings_are_reported_and_stored(
+    line: str, said: str, tmp_path: Path
+) -> None:
     settings = read(tmp_path, f"{FIRST}{line}\n")
     (unheeded,) = settings.unheeded
     assert said in unheeded and f"settings.txt:{len(FIRST.splitlines()) + 1}" in unheeded
@@ -326,7 +330,7 @@ def test_what_marlin_does_besides_is_told_and_kept(line: str, said: str, tmp_pat
     "line",
     ["M852 I0.0 J0.0", "M425 F0.0 X0.1", "M425 F1 X0.0", "M420 S0 Z0.00", "M206 X0.00 Y0.00"],
 )
-def test_what_is_off_is_not_told(line: str, tmp_path: Path) -> None:
+def test_disabled_setting_gives_no_warning(line: str, tmp_path: Path) -> None:
     settings = read(tmp_path, f"{FIRST}echo:  {line}\n")
     assert not settings.unheeded
     assert numbers(settings) == numbers(read(tmp_path, FIRST))
@@ -469,7 +473,7 @@ def test_the_queue_of_reprapfirmware_only_grows(tmp_path: Path) -> None:
     ("line", "said"),
     [("M556 S100 X0.5", "skew"), ("M425 X0.1 S10", "backlash"), ("G29 S1", "mesh of the bed")],
 )
-def test_what_reprapfirmware_does_besides_is_told(line: str, said: str, tmp_path: Path) -> None:
+def test_ignored_reprapfirmware_settings_are_reported(line: str, said: str, tmp_path: Path) -> None:
     (unheeded,) = read(tmp_path, f"{REPRAPFIRMWARE}{line}\n").unheeded
     assert said in unheeded
     assert not read(tmp_path, REPRAPFIRMWARE + "M556 S100 X0 Y0\nM425 X0\nM579 X1 Y1\n").unheeded
@@ -637,7 +641,7 @@ def test_limits_of_linuxcnc_need_no_scale(tmp_path: Path) -> None:
         settings_files("linuxcnc", ini, ["radius=40 mm", "torque=1 N m"])
 
 
-def test_what_linuxcnc_passes_over_is_told_and_passed_over(tmp_path: Path) -> None:
+def test_lines_that_linuxcnc_skips_are_skipped_with_a_note(tmp_path: Path) -> None:
     """A line without =, and text after the name of a section; an INI may include all files."""
     said = INI.replace("[TRAJ]", "TOOL_CHANGE_POSITION -18 -12\n[TRAJ] section of the path", 1)
     settings = read(tmp_path, said, "mill.ini")

@@ -95,7 +95,7 @@ dac = { bits = "8 bit exact, assumed", range = "10 V exact, assumed" }
         load_machine(file)
 
 
-def test_what_needs_one_error_and_one_drive_is_refused_in_words(tmp_path):
+def test_state_space_controller_is_refused_where_a_single_loop_is_needed(tmp_path):
     from threadline.dynamics.inverse import closed_responses, inverse_of
     from threadline.dynamics.sampled import digital_filter
 

@@ -183,7 +183,7 @@ def test_other_counts_put_the_load_elsewhere() -> None:
         ),
     ],
 )
-def test_what_cannot_vary_is_refused_by_name(tmp_path, text, message) -> None:
+def test_number_that_cannot_vary_is_refused_by_name(tmp_path, text, message) -> None:
     file = tmp_path / "m.toml"
     file.write_text('base = "lathe-winder"\n' + text)
     with pytest.raises(OptionError, match=re.escape(message)):
@@ -237,7 +237,7 @@ def test_counts_of_a_stepper_without_a_load_move_its_load(tmp_path) -> None:
     assert row[len(piece.states) + piece.drives.index("x")] == pytest.approx(weight.si, rel=1e-12)
 
 
-def test_what_breaks_away_needs_at_least_what_slides(tmp_path) -> None:
+def test_stiction_of_a_variant_is_never_below_its_friction(tmp_path) -> None:
     """Tolerances of friction and stiction overlap: drawn separately, they could be reversed."""
     file = tmp_path / "sticky.toml"
     file.write_text(

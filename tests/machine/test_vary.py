@@ -51,7 +51,7 @@ def test_derating_touches_acceleration_and_jerk_alone() -> None:
         derate(machine, 1.5)
 
 
-def test_off_tolerance_of_cylinders_are_what_they_push_and_the_air() -> None:
+def test_off_tolerance_changes_load_feet_and_air_of_a_cylinder_machine() -> None:
     """The file's 6 kg +- 5 %, 27 kN/m +- 10 % and 35.7 kN/m +- 30 %."""
     machine = load_machine("letter-placer")
     other = off_tolerance(machine, mass=1.0, stiffness=-1.0)
@@ -64,7 +64,7 @@ def test_off_tolerance_of_cylinders_are_what_they_push_and_the_air() -> None:
     assert same == machine
 
 
-def test_off_tolerance_are_loads_and_links_and_nothing_else() -> None:
+def test_off_tolerance_changes_only_loads_and_links() -> None:
     """For the printed 111 kg +- 10 % and 6.24e5 N/m +- 20 %, one end and a quarter of the way."""
     machine = load_machine("stitcher")
     other = off_tolerance(machine, mass=-1.0, stiffness=0.25)

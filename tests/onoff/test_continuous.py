@@ -168,7 +168,7 @@ WAIT = '[[operation]]\nwait = "x_is_left"\n'
         (f"{FIRST.replace('true', '1')}{WAIT}", 3, "must be true or false"),
     ],
 )
-def test_what_no_first_cycle_can_be_is_refused_with_its_line(
+def test_list_that_cannot_repeat_is_refused_with_its_line(
     tmp_path: Path, text: str, line: int, message: str
 ) -> None:
     file = tmp_path / "list.toml"

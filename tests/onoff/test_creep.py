@@ -72,7 +72,7 @@ def test_a_switch_that_is_out_of_reach_ends_it_in_the_time_of_the_list() -> None
         list(slow(SLOW | {"cylinders.X.speed": 0.85}, commands()))
 
 
-def test_what_it_rings_is_what_was_planned() -> None:
+def test_simulated_ringing_of_a_creep_agrees_with_the_plan() -> None:
     """An opening rings as planned, beside the slower stroke's ringing: a tenth of the limit."""
     (across,) = [
         f.value
@@ -166,7 +166,7 @@ def test_a_wait_without_creep_only_waits(tmp_path: Path) -> None:
     assert plan.scheduled.creeping.keys() == {"Z"}
 
 
-def test_what_opens_is_in_the_hash_and_on_the_wire() -> None:
+def test_creep_is_part_of_the_hash_and_of_the_message() -> None:
     whole = commands()
     assert all(creep_of(list(creep.row)) == creep for creep in whole.creeps)
     later = replace(whole.creeps[0], every=whole.creeps[0].every + 1)

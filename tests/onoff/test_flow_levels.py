@@ -57,7 +57,7 @@ def wide() -> Any:
     return wanted, least, shortest_flow_command(wanted, least, least + 5)
 
 
-def test_it_rings_little_enough_all_over_the_band(wide: Any) -> None:
+def test_flow_command_keeps_the_allowed_ringing_over_the_band(wide: Any) -> None:
     """Unshaped the same stroke rings more than ten times as much somewhere in the band."""
     wanted, _, command = wide
     unshaped = [integrated((0, 47), (1.0, 0.0), POLE * part) for part in BAND]

@@ -350,7 +350,7 @@ def main_or_exit(words: list[str]) -> None:
         main(words)
 
 
-def test_what_an_interlock_needs_at_home_comes_home_first(
+def test_cylinder_that_an_interlock_needs_is_homed_first(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """X needs z_is_up: Z first, although the list moves Z last; the other order is refused.

@@ -149,7 +149,7 @@ def test_shapers_stand_side_by_side(
     assert content["fastest"] == {} and content["refused"] == []
 
 
-def test_what_means_nothing_to_it_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
+def test_options_without_effect_on_repeats_are_refused(capsys: pytest.CaptureFixture[str]) -> None:
     words = ["compare", CYCLE, "-m", OWN]
     for more in (["--interpolation", "linear"], ["--feed", "1 mm/s"], ["--shaper", "zvd"]):
         code, out, err = run(capsys, *words, *more)

@@ -134,7 +134,7 @@ def test_commands_are_shorter_by_what_the_flow_lasts_longer(shaper: str, example
     assert stroke.max() == pytest.approx(min(down.levels.commanded_m, 0.2), abs=1.1e-3)
 
 
-def test_what_a_command_leaves_is_known_in_closed_form(tmp_path: Path) -> None:
+def test_ringing_after_a_command_agrees_with_the_closed_form(tmp_path: Path) -> None:
     """Levels with a gap: the twin's ringing to 3 %; without the valve times it is half."""
     machine = load_machine(UNEQUAL)
     file = tmp_path / "gap.toml"

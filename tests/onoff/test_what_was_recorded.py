@@ -50,7 +50,7 @@ def test_a_table_made_by_hand_is_judged_as_the_recording_is(
     assert [c["name"] for c in criteria if c["status"] == "failed"] == ["switching_order"]
 
 
-def test_how_long_the_cycle_waits_at_its_end_is_not_known_without_the_contact(
+def test_cycle_time_is_not_measured_without_the_last_contact(
     shaped: Proof,
 ) -> None:
     """The last switching begins the way back; the cycle ends when x_is_left turns on."""
@@ -242,7 +242,7 @@ def of_pick(folder: Path, lasts_ms: int, rest: str = "", shaper: str = "none") -
 
 
 @pytest.mark.parametrize("shaper", ["none", "um-zv"])
-def test_what_rings_is_measured_though_the_cylinder_moves_again_at_once(
+def test_ringing_is_measured_even_if_the_cylinder_moves_again_soon(
     shaper: str, tmp_path: Path
 ) -> None:
     """By place and speed in 20 ms, against half the peak-to-peak of a second: 3 % and 8 um.
@@ -265,7 +265,7 @@ def test_what_rings_is_measured_though_the_cylinder_moves_again_at_once(
     assert any("by its place and speed" in note for note in notes)
 
 
-def test_what_is_required_and_cannot_be_measured_is_not_proven(tmp_path: Path) -> None:
+def test_required_criterion_that_cannot_be_measured_is_not_proven(tmp_path: Path) -> None:
     """X goes back before it has come to rest, so its ringing is unknown."""
     proof = of_pick(tmp_path, 10, 'rest = "100 ms"\n', "zv")
     results = [

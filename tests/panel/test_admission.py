@@ -115,7 +115,7 @@ def test_other_addresses_need_a_token() -> None:
         '{"type":"act","lease":"","seen":1,"number":1,"command":{"what":"jog","axis":"X","share":NaN}}',
     ],
 )  # fmt: skip
-def test_what_is_no_message_ends_the_connection(client: TestClient, text: str) -> None:
+def test_malformed_message_ends_the_connection(client: TestClient, text: str) -> None:
     with operator(client) as eve:
         eve.socket.send_text(text)
         with pytest.raises(WebSocketDisconnect) as refused:
@@ -198,7 +198,7 @@ def test_uploads_need_control_and_stay_in_the_folder(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("path", ["/api/programs/a.prg", "/api/drawing/shapes"])
-def test_what_breaks_off_is_no_error_of_the_panel(tmp_path: Path, path: str) -> None:
+def test_interrupted_upload_is_no_error_of_the_panel(tmp_path: Path, path: str) -> None:
     with served(tmp_path) as client, operator(client) as anna:
         anna.take()
         came = iter([{"type": "http.request", "body": b"G1", "more_body": True}])
@@ -352,7 +352,9 @@ def test_no_file_outside_of_the_project_is_read(
     assert secret not in opened
 
 
-def test_what_the_project_holds_is_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_files_of_the_project_folder_are_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """The guard allows every file in the folder, however the folder is named."""
     project = tmp_path / "project"
     project.mkdir()

@@ -63,7 +63,9 @@ def patient(monkeypatch: pytest.MonkeyPatch) -> None:
         ("M5G0X10", "it moves"),
     ],
 )
-def test_what_moves_or_acts_at_once_is_refused_by_a_sentence(line: str, why: str) -> None:
+def test_console_line_that_moves_the_machine_is_refused_with_a_sentence(
+    line: str, why: str
+) -> None:
     with pytest.raises(CommandError, match=why.replace("$", r"\$")):
         console_line(line)
 

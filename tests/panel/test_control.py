@@ -39,7 +39,7 @@ class Model:
 
 @settings(max_examples=300)
 @given(STEPS)
-def test_it_is_what_two_people_would_say(steps: list[tuple[str, int, float]]) -> None:
+def test_lease_of_control_agrees_with_a_simple_model(steps: list[tuple[str, int, float]]) -> None:
     numbers = count()
     control, model, now = ControlLease(lambda: f"lease {next(numbers)}"), Model(), 0.0
     words: dict[int, str] = {1: "", 2: ""}
@@ -106,7 +106,7 @@ def test_the_word_of_another_is_of_no_use() -> None:
     assert control.renew(first.word, 1.0, 1)
 
 
-def test_who_does_not_answer_loses_it_after_ten_seconds() -> None:
+def test_control_passes_after_ten_seconds_without_an_answer() -> None:
     control = ControlLease()
     first = control.take(1, 0.0)
     assert first is not None
@@ -120,7 +120,7 @@ def test_who_does_not_answer_loses_it_after_ten_seconds() -> None:
     assert not control.renew(first.word, 11.0)
 
 
-def test_who_is_gone_loses_it_after_five() -> None:
+def test_control_is_free_five_seconds_after_its_holder_is_gone() -> None:
     control = ControlLease()
     first = control.take(1, 0.0)
     assert first is not None

@@ -32,7 +32,7 @@ SHAPES = [
 ]
 
 
-def test_what_is_written_is_read_again() -> None:
+def test_written_dxf_reads_back_equal() -> None:
     """Every shape is compared; a circle may begin elsewhere, and an arc runs counter-clockwise."""
     found = opened("a.dxf", dxf(SHAPES))["shapes"]
     assert [one["kind"] for one in found] == [shape.kind for shape in SHAPES]
@@ -200,7 +200,7 @@ def test_capital_letters_are_as_high_as_asked() -> None:
     assert len(outlines(Lettering(text="O", height_mm=10.0))) == 2
 
 
-def test_what_cannot_be_is_one_line() -> None:
+def test_impossible_drawing_is_refused_in_one_line() -> None:
     with pytest.raises(
         JobError, match=r"shape 1: a polygon needs 3 points or more, this one has 2"
     ):

@@ -123,9 +123,7 @@ def spoiled(draw: st.DrawFn) -> Any:
 
 @FUZZED
 @given(spoiled())
-def test_what_is_no_message_of_the_schema_ends_the_connection(
-    client: TestClient, message: Any
-) -> None:
+def test_message_outside_the_schema_ends_the_connection(client: TestClient, message: Any) -> None:
     with operator(client) as eve:
         eve.socket.send_text(json.dumps(message))
         with pytest.raises(WebSocketDisconnect) as ended:

@@ -49,7 +49,7 @@ def fed(proof: Proof, live: LiveContour, until: Callable[[], bool] = lambda: Fal
                 return
 
 
-def test_it_is_the_error_that_the_judge_measures_at_its_samples(proof: Proof) -> None:
+def test_live_contour_equals_the_judged_error_at_samples(proof: Proof) -> None:
     live = LiveContour.of(proof.plan, proof.spec, proof.recording.channels)
     assert live is not None
     assert live.report() is None
@@ -68,7 +68,7 @@ def test_it_is_the_error_that_the_judge_measures_at_its_samples(proof: Proof) ->
     assert told["limit_m"] == judged.limit and told["at"] == "load"
 
 
-def test_it_is_known_while_the_run_goes_on(proof: Proof) -> None:
+def test_live_contour_is_reported_during_the_run(proof: Proof) -> None:
     """Samples are measured during the run: a report is at most the lag and a piece old."""
     live = LiveContour.of(proof.plan, proof.spec, proof.recording.channels)
     assert live is not None
@@ -91,7 +91,7 @@ def test_it_is_known_while_the_run_goes_on(proof: Proof) -> None:
     live.close()
 
 
-def test_what_a_link_does_not_measure_is_not_told(proof: Proof) -> None:
+def test_live_contour_needs_a_measured_position(proof: Proof) -> None:
     """Without the load's position the encoder is read; without an encoder there is no error."""
     kinds = (ChannelKind.LOAD, ChannelKind.TOOL)
     encoders = tuple(c for c in proof.recording.channels if c.kind not in kinds)
@@ -123,7 +123,7 @@ def project(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     yield folder
 
 
-@pytest.mark.long(shown_by="test_it_is_known_while_the_run_goes_on")
+@pytest.mark.long(shown_by="test_live_contour_is_reported_during_the_run")
 def test_a_run_tells_its_error_ten_times_a_second_and_keeps_the_worst(project: Path) -> None:
     with served(project, 0.9) as client, operator(client) as anna:
         started(anna.ready())

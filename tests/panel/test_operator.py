@@ -147,7 +147,7 @@ def test_a_message_beyond_what_was_proven_is_none(percent: object) -> None:
         CLIENT_MESSAGE.validate_json(json.dumps(act))
 
 
-def test_who_has_no_control_moves_nothing(project: Path) -> None:
+def test_client_without_control_moves_nothing(project: Path) -> None:
     with served(project, SPEED) as client, operator(client) as anna, operator(client, "Ben") as ben:
         anna.ready()
         for lease in ("", anna.lease[:-1], "x" * 22, anna.lease):

@@ -20,7 +20,7 @@ from tests.panel.browsing import (
 from tests.panel.test_panel_killed import Plant
 
 
-def test_what_is_not_chosen_any_more_does_not_start(
+def test_program_that_is_no_longer_chosen_does_not_start(
     browser: Browser, plant: Plant, tmp_path: Path
 ) -> None:
     there = tmp_path / "there.prg"
@@ -84,7 +84,7 @@ def test_a_panel_that_begins_anew_has_calculated_nothing(
     again.end()
 
 
-def test_what_is_said_is_seen_on_every_part_and_ends_are_kept(
+def test_messages_show_in_every_view_and_the_end_of_a_run_stays(
     browser: Browser, plant: Plant
 ) -> None:
     page = opened(browser, plant)

@@ -32,7 +32,7 @@ from tests.panel.test_panel_killed import Plant
 TOKEN = "correct-horse-battery"
 
 
-@pytest.mark.long(shown_by="test_what_is_not_homed_and_what_is_there_is_said")
+@pytest.mark.long(shown_by="test_page_says_that_an_axis_is_not_homed_and_a_file_exists")
 def test_grbl_is_homed_jogged_and_in_alarm(browser: Browser, tmp_path: Path) -> None:
     model = GrblModel(settings())
     model.start()
@@ -63,7 +63,7 @@ def test_grbl_is_homed_jogged_and_in_alarm(browser: Browser, tmp_path: Path) -> 
         model.close()
 
 
-@pytest.mark.long(shown_by="test_what_is_not_homed_and_what_is_there_is_said")
+@pytest.mark.long(shown_by="test_page_says_that_an_axis_is_not_homed_and_a_file_exists")
 def test_a_grbl_program_is_held_in_the_middle_and_a_lost_link_comes_back(
     browser: Browser, tmp_path: Path
 ) -> None:
@@ -165,7 +165,9 @@ def test_the_page_asks_for_the_token(browser: Browser, plant: Plant) -> None:
     page.close()
 
 
-def test_what_is_not_homed_and_what_is_there_is_said(browser: Browser, plant: Plant) -> None:
+def test_page_says_that_an_axis_is_not_homed_and_a_file_exists(
+    browser: Browser, plant: Plant
+) -> None:
     """Axes without a home have no position; an upload with an existing name asks first."""
     page = opened(browser, plant)
     for name in "AXY":

@@ -62,7 +62,7 @@ def test_the_list_of_runs_has_the_words_of_the_verdict(browser: Browser, plant: 
 
 @pytest.mark.long(shown_by="test_the_list_of_runs_has_the_words_of_the_verdict")
 @pytest.mark.parametrize("plant", [("schiffli-frame", 40.0)], indirect=True)
-def test_what_is_of_no_use_is_grey_and_says_why(browser: Browser, plant: Plant) -> None:
+def test_unavailable_buttons_are_grey_with_the_reason(browser: Browser, plant: Plant) -> None:
     """No part program can be taught to a frame; a completed run has no rest."""
     page = opened(browser, plant, "schiffli-frame")
     ready(page)
@@ -110,7 +110,7 @@ def test_fields_are_those_of_the_kind_of_work(browser: Browser, plant: Plant, na
 
 @pytest.mark.long(shown_by="test_the_list_of_runs_has_the_words_of_the_verdict")
 @pytest.mark.parametrize("plant", [("lathe-winder", 4.0)], indirect=True)
-def test_what_is_typed_is_what_is_asked_for(browser: Browser, plant: Plant) -> None:
+def test_typed_options_are_sent_with_the_request(browser: Browser, plant: Plant) -> None:
     page = opened(browser, plant)
     press(page, "Take control")
     part(page, "Prepare")

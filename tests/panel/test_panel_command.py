@@ -69,7 +69,7 @@ def page(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPat
         (["--store", "a-file/runs"], "'a-file/runs' is no folder of runs: 'a-file' is a file"),
     ],
 )
-def test_what_is_wrong_is_one_line(
+def test_panel_reports_wrong_options_in_one_line(
     words: list[str], says: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:  # fmt: skip
@@ -119,7 +119,7 @@ def test_a_port_that_another_has_is_one_line(
     assert f"cannot listen at 127.0.0.1:{port}: Address already in use" in capsys.readouterr().err
 
 
-def test_without_its_page_it_says_how_to_build_it(
+def test_panel_without_its_page_says_how_to_build_it(
     page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (page / "index.html").unlink()
@@ -197,7 +197,7 @@ def _begins(port: int) -> str:
     return f"The panel of lathe-winder is at http://127.0.0.1:{port}/ (Ctrl-C stops and ends)\n"
 
 
-def test_it_serves_with_processes_of_its_own_and_ends_them(tmp_path: Path) -> None:
+def test_panel_starts_and_ends_its_own_processes(tmp_path: Path) -> None:
     with panel(tmp_path, "--link", "sim:slower") as (process, port):
         half = [socket.create_connection(("127.0.0.1", port)) for _ in range(300)]
         stop = urllib.request.Request(f"http://127.0.0.1:{port}/api/stop", b"", method="POST")
@@ -217,7 +217,7 @@ def test_it_serves_with_processes_of_its_own_and_ends_them(tmp_path: Path) -> No
     assert list(tmp_path.iterdir()) == []  # without a run there is no folder of runs
 
 
-@pytest.mark.long(shown_by="test_it_serves_with_processes_of_its_own_and_ends_them")
+@pytest.mark.long(shown_by="test_panel_starts_and_ends_its_own_processes")
 def test_no_python_file_of_a_project_is_run(tmp_path: Path) -> None:
     """Owner, machine and readers import the library's modules, whatever files a project has."""
     (tmp_path / "there.prg").write_text(PROGRAM, "utf-8")
@@ -233,7 +233,7 @@ def test_no_python_file_of_a_project_is_run(tmp_path: Path) -> None:
     assert not (tmp_path / "was-run").exists()
 
 
-@pytest.mark.long(shown_by="test_it_serves_with_processes_of_its_own_and_ends_them")
+@pytest.mark.long(shown_by="test_panel_starts_and_ends_its_own_processes")
 def test_ctrl_c_in_a_jog_stops_the_machine_and_is_no_error(tmp_path: Path) -> None:
     """A browser is connected, has control, and keeps renewing its jog.
 
@@ -259,8 +259,8 @@ def test_ctrl_c_in_a_jog_stops_the_machine_and_is_no_error(tmp_path: Path) -> No
     assert err == ""
 
 
-@pytest.mark.long(shown_by="test_it_serves_with_processes_of_its_own_and_ends_them")
-def test_neither_bad_text_nor_a_request_under_way_is_told_at_its_end(tmp_path: Path) -> None:
+@pytest.mark.long(shown_by="test_panel_starts_and_ends_its_own_processes")
+def test_panel_ends_quietly_during_a_request(tmp_path: Path) -> None:
     """A drawing of 7 MB in one line is being read; earlier this broke the end of the panel."""
     head = b'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 9 9" width="9mm" height="9mm">'
     with panel(tmp_path) as (process, port):

@@ -85,11 +85,11 @@ GUARDS: dict[str, tuple[Take, Test]] = {
     ),
     "one lease": (
         attribute(ControlLease, "renew", lambda *_: True),
-        lambda _: test_control.test_it_is_what_two_people_would_say(),
+        lambda _: test_control.test_lease_of_control_agrees_with_a_simple_model(),
     ),
     "a lease that expires": (
         attribute(ControlLease, "pass_if_due", lambda *_: None),
-        lambda _: test_control.test_who_is_gone_loses_it_after_five(),
+        lambda _: test_control.test_control_is_free_five_seconds_after_its_holder_is_gone(),
     ),
     "a state that was seen": (
         attribute(Client, "saw", lambda *_: True),

@@ -48,7 +48,7 @@ def test_speed_is_in_spec_and_optimum_keeps_a_fifth_of_every_limit(folder: Path)
     assert durations_s[0] < durations_s[1]
 
 
-def test_what_is_not_paced_by_a_feed_has_no_priority() -> None:
+def test_priority_is_refused_for_a_job_without_a_feed() -> None:
     machine = load_machine("letter-placer")
     options = words_of(CASES["letter-placer"].model_dump(exclude={"what"}))
     job = open_job(Path(__file__).parents[2] / "examples" / "letter-cycle.toml", machine, options)

@@ -86,7 +86,7 @@ def test_other_work_has_no_stitches_to_go_back(tmp_path: Path) -> None:
         operation_at(cast("Plan", SimpleNamespace(job=job)), 2, "back 1")
 
 
-def test_what_belongs_to_no_axis_is_read_with_its_unit() -> None:
+def test_readings_without_an_axis_have_their_unit() -> None:
     """An example is the tension of a fibre; inputs, positions and sensor volts are not included."""
     clock = load_machine("lathe-winder").tick_clock
     channels = [

@@ -257,7 +257,7 @@ def test_axes_that_were_never_homed_have_no_place(project: Path) -> None:
         assert places() == {None}
 
 
-def test_what_was_asked_before_a_sleep_is_not_obeyed(
+def test_request_from_before_a_sleep_is_refused(
     project: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """No motion begins from a request that waited while the computer slept."""

@@ -31,7 +31,7 @@ BY_A_LAW = "law:modified-sine"
 """One of those by a motion law, which stands for them all."""
 
 
-def test_each_has_its_row_and_its_paragraph() -> None:
+def test_document_has_a_row_and_a_paragraph_for_each_interpolation() -> None:
     assert set(ROWS) == {*interpolation_names(), BY_A_LAW}
     assert "## `law:NAME`" in TEXT
     assert set(re.findall(r"^## `([\w-]+)`$", TEXT, re.MULTILINE)) == set(interpolation_names())

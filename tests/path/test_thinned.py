@@ -164,7 +164,7 @@ def test_the_spline_stays_within_the_tolerance_of_rough_points(beside_m, degree)
     assert len(c) < 100
 
 
-def test_what_is_smooth_is_left_bit_for_bit():
+def test_thinning_leaves_smooth_paths_unchanged():
     """A circle, a polyline with long legs and corners, and a staircase beyond the tolerance."""
     turn = np.linspace(0.0, 2 * np.pi, 721)
     circle = 0.05 * np.stack([np.sin(turn), 1.0 - np.cos(turn)], axis=1)
@@ -193,7 +193,7 @@ def test_a_long_leg_and_its_corner_stay_beside_rough_points():
         assert (found["positions"] == vertex).all(axis=1).any()
 
 
-def test_it_rests_where_the_program_rests():
+def test_thinned_path_keeps_the_rests_of_the_program():
     points = noisy(300, 5e-6)
     found = thinned(programmed(points, rests=(120,)))
     assert (found["positions"] == points[120]).all(axis=1).any()

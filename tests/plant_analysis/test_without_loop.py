@@ -78,7 +78,7 @@ def test_every_thing_that_moves_can_be_analysed() -> None:
         assert analyse_moving(machine, name).as_json()["modes_hz"] is not None
 
 
-def test_what_a_drive_is_asked_for_has_the_unit_of_its_body() -> None:
+def test_demand_on_a_drive_has_the_unit_of_its_body() -> None:
     """A linear servo gives a force: at 40 m/s^2 and 1.5 m/s, 7 kg and 30 N s/m need 325 N."""
     servo = analyse_moving(load_machine("table-embroiderer"), "X")
     assert servo.verdict().endswith("rings at 70.01 Hz; at the axis' limits it needs "

@@ -67,7 +67,7 @@ def test_a_jog_that_is_held_through_a_cycle_sets_out_nothing_at_its_end() -> Non
         assert by_hand(bench, X_OUT) == {"main_air"}
 
 
-def test_what_has_stopped_at_its_end_waits_for_the_next_press() -> None:
+def test_cylinder_stopped_at_its_end_moves_only_after_the_next_press() -> None:
     bench = ready()
     while bench.cell.contacts()["z_is_down"] is False:
         by_hand(bench, Z_OUT)

@@ -162,7 +162,7 @@ def test_steps_of_a_block_come_as_its_trapezoid_says(short: bool) -> None:
     np.testing.assert_allclose(each_s, each_s[::-1], rtol=1e-9)
 
 
-def test_what_is_not_installed_is_told(job: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_missing_firmware_reader_is_named(job: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The variable is named, and so is a folder that is no checkout."""
     monkeypatch.delenv(klipper_host.CHECKOUT, raising=False)
     monkeypatch.delenv(grbl_steps.FOLDER, raising=False)

@@ -109,7 +109,7 @@ def test_a_gif_moves_and_is_read_without_colour(
     assert all(np.abs(one - two).max() > 100 for one, two in pairwise(grey))
 
 
-def test_what_cannot_be_written_is_refused_first(
+def test_unwritable_animation_is_refused_before_the_job_is_read(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Before the job is read: the job's file does not even exist."""

@@ -169,7 +169,7 @@ def test_figures_stand_whole_on_their_page_above_their_caption(pages: list[PageO
             assert title_y - caption_y == pytest.approx(72.0 * (3.0, 6.8)[number], abs=15.0)
 
 
-def test_what_a_figure_consists_of_is_copied_and_not_read(tmp_path: Path) -> None:
+def test_contents_of_a_figure_are_copied_without_parsing(tmp_path: Path) -> None:
     """Only the place of the drawing is added to its page, however many points it has."""
     with figure_style():
         made = document()

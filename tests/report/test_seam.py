@@ -55,7 +55,7 @@ def test_marks_are_the_stitches_and_differ_in_shape_or_size(proof: Proof) -> Non
     ]
 
 
-def test_of_many_stitches_the_worst_is_drawn_and_all_are_counted(
+def test_thinned_seam_figure_draws_the_worst_stitch_and_counts_all(
     proof: Proof, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """With room for five of them: each number beside the marks, and the place of the worst."""

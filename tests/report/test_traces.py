@@ -82,7 +82,7 @@ def test_a_single_sample_is_marked_where_and_when_it_was(proof: Proof) -> None:
     assert mark.get_xydata()[0] == pytest.approx([AT * tick_s, 1e3 * worst.measured], abs=1e-6)
 
 
-def test_the_trace_about_it_is_whole(proof: Proof) -> None:
+def test_trace_near_the_worst_place_keeps_every_sample(proof: Proof) -> None:
     """Every sample near the place is in the lower panel, joined; the upper one draws points."""
     traces = collect(proof)
     with figure_style():

@@ -219,7 +219,7 @@ def test_a_share_of_the_limits_is_tried_where_no_plan_of_them_all_passes() -> No
 
 
 @pytest.mark.usefixtures("few")
-def test_where_no_plan_at_the_full_limits_passes_their_share_is_chosen_too(
+def test_share_of_the_limits_is_searched_if_no_plan_at_full_limits_passes(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Over the tolerances the loops may be too far off for every plan with the full limits.

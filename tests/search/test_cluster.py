@@ -184,7 +184,7 @@ def test_a_worker_that_ends_in_the_middle_changes_nothing(
 
 @pytest.mark.long(shown_by="test_machines_that_end_every_worker_are_not_tried_for_ever")
 @pytest.mark.parametrize("which", ["scheduler", "workers"])
-def test_what_was_judged_is_kept_when_the_cluster_dies(
+def test_judged_machines_are_kept_when_the_cluster_dies(
     which: str, job: Path, said: Said, fleets: Callable[[int], Fleet],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:  # fmt: skip
@@ -235,7 +235,7 @@ def test_a_scheduler_that_comes_back_gets_what_it_lost(
     assert sum(told) == 60
 
 
-def test_what_fails_is_told_in_one_line_of_this_program(fleet: Fleet) -> None:
+def test_loggers_of_distributed_are_silent(fleet: Fleet) -> None:
     """``distributed`` has its own loggers with handlers and levels, for example for clients."""
     Cluster(fleet.address).close()
     names = [name for name in logging.root.manager.loggerDict if name.startswith("distributed")]

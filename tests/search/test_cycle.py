@@ -92,7 +92,7 @@ def test_move_by_move_it_is_near_the_time_optimum(best: tuple[dict[str, Any], Pa
     )
 
 
-def test_what_it_wrote_proves_the_same(
+def test_written_cycle_proves_with_the_same_figures(
     best: tuple[dict[str, Any], Path], capsys: pytest.CaptureFixture[str]
 ) -> None:
     found, file = best
@@ -117,7 +117,7 @@ def typed() -> FastestCycle:
 
 
 @pytest.mark.long(shown_by="test_the_fastest_is_in_spec_and_shorter_than_every_shaper")
-def test_off_its_file_the_cycle_is_found_with_commands_for_the_file(typed: FastestCycle) -> None:
+def test_cycle_for_another_machine_uses_commands_planned_for_the_file(typed: FastestCycle) -> None:
     """With stiffer springs the cycle for the file fails, and the cycle for this machine passes.
 
     Both are proved anew, in one run each, on the machine whose springs are at their upper ends.

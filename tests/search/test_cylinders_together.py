@@ -76,7 +76,9 @@ def test_cylinders_that_set_out_together_have_a_command_each(
     assert out.exists()
 
 
-def test_together_is_as_short_as_the_longer_of_both(together: tuple[Job, FastestCycle]) -> None:
+def test_simultaneous_strokes_take_the_time_of_the_longer_one(
+    together: tuple[Job, FastestCycle],
+) -> None:
     """The move is shorter than one after the other by the whole shorter stroke with its rest."""
     machine = unlocked()
     job, found = together

@@ -203,7 +203,7 @@ def test_the_design_is_in_spec_and_nothing_cheaper_on_a_grid_is(
     assert tried.ratio.min() > 1.0
 
 
-def test_how_far_a_design_is_never_falls(
+def test_progress_of_a_redesign_never_falls(
     result: DesignResult, told: list[tuple[str, float]]
 ) -> None:
     """All stages are checked, the trade of cost for margin among them."""
@@ -214,7 +214,7 @@ def test_how_far_a_design_is_never_falls(
     assert shares == sorted(shares) and shares[0] >= 0.0 and shares[-1] <= 1.0
 
 
-def test_what_is_told_of_a_design_says_its_level(
+def test_printed_design_states_its_level(
     result: DesignResult, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """The level is below the verdict, in the last sentence and above the other machines."""
@@ -321,7 +321,7 @@ def test_no_design_says_what_binds(stitcher: Machine, spec: Spec, corner: Path) 
     assert result.nearest.binding in {"stitch_length_error", "contour_error"}
 
 
-def test_where_settings_are_enough_the_margin_decides(
+def test_design_by_settings_alone_takes_the_largest_margin(
     stitcher: Machine, spec: Spec, tmp_path: Path
 ) -> None:
     """At 30 stitch/s many settings of the unchanged machine pass, all of them at no cost.

@@ -31,7 +31,7 @@ limit = "1.06 mm"
 QUICK = Effort(sample_log2=5, settings_log2=2, proposals=8, rounds=3, trade_rounds=2, side=0)
 
 
-@pytest.mark.long(shown_by="test_of_equal_yields_the_cheapest_is_on_the_front")
+@pytest.mark.long(shown_by="test_front_keeps_the_cheapest_of_equal_yields")
 def test_a_front_is_counted_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -65,7 +65,7 @@ def test_a_front_is_counted_again(
     assert (Path("report") / "design-front.png").exists() or list(Path("report").glob("*front*"))
 
 
-def test_of_equal_yields_the_cheapest_is_on_the_front() -> None:
+def test_front_keeps_the_cheapest_of_equal_yields() -> None:
     def of(cost: float, passed: int) -> CandidateYield:
         return CandidateYield(cost=cost, factors={"m": cost}, passed=passed, machines=10)
 

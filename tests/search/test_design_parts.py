@@ -175,7 +175,7 @@ def test_a_changed_part_is_named_with_its_line(said: Said) -> None:
         (["--searches", "0"], "--searches"),
     ],
 )
-def test_what_makes_no_part_is_refused(words: list[str], says: str, said: Said) -> None:
+def test_impossible_part_of_a_redesign_is_refused(words: list[str], says: str, said: Said) -> None:
     before = Path("turn.prg").read_bytes()
     code, out, err = said(*WORDS, *words)
     assert (code, out) == (2, "") and says in err, err

@@ -36,7 +36,7 @@ limit = "0.18 deg"
 
 @pytest.mark.long(but="stepper-winder")
 @pytest.mark.parametrize("name", JOBS)
-def test_what_is_found_is_in_spec_by_prove(name: str, tmp_path: Path) -> None:
+def test_found_design_is_in_spec_by_prove(name: str, tmp_path: Path) -> None:
     """The unchanged machine is out of spec; the written files are proved as they are."""
     file, options = JOBS[name]
     machine = load_machine(name)

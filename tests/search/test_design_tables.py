@@ -111,7 +111,7 @@ CROSSOVER = 'crossover = ["6 Hz exact, assumed", "{} exact, assumed"]\n'
         ),
     ],
 )
-def test_what_checks_the_table_as_a_whole_gives_the_line(
+def test_check_of_the_whole_design_table_names_a_line(
     tmp_path: Path, text: str, words: str
 ) -> None:
     file = tmp_path / "mine.toml"

@@ -101,7 +101,7 @@ def left_with(words: list[str]) -> int:
 
 
 @pytest.mark.usefixtures("coarse_search")
-def test_what_fastest_finds_is_typed_into_the_program(
+def test_fastest_f_typed_into_the_program_gives_the_printed_time(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """By grbl's own rule: the file with this F takes the printed time."""

@@ -125,7 +125,7 @@ def spread_at(feed: float) -> Verdict:
     return replace(verdict(0.5), results=(*verdict(0.5).results, row), runs=20)
 
 
-def test_what_fails_in_one_run_is_no_closer_than_what_fails_over_twenty() -> None:
+def test_verdict_failing_in_one_run_ranks_behind_verdict_failing_over_twenty() -> None:
     """One run does not show the spread, so its small excess does not come closest."""
     found = find_fastest(spread_at, 0.1, 10.0, Grid(points=21))
     assert found.limited_by == "repeatability" and found.verdict.runs == 20
@@ -144,7 +144,7 @@ def test_what_fails_in_one_run_is_no_closer_than_what_fails_over_twenty() -> Non
     assert lines[1].startswith("11 of them pass in one run")
 
 
-def test_where_one_criterion_forbids_every_feed_it_fails_at_all() -> None:
+def test_criterion_that_forbids_every_feed_fails_at_all() -> None:
     found = find_fastest(lambda _: verdict(2.0), 0.1, 10.0, Grid(points=3))
     assert list(forbidden_words(found.forbidden, found.limited_by, str)) == [
         "contour_error fails at all"
@@ -185,7 +185,7 @@ def several(**excess: float | None) -> Verdict:
     return Verdict(results=tuple(results), simulated=True)
 
 
-def test_what_limits_is_what_fails_first_above_the_best_feed() -> None:
+def test_limiting_criterion_fails_first_above_the_best_feed() -> None:
     """The contour fails from 2 on, the jerk from 5 on by far more: the contour is named."""
     found = find_fastest(lambda f: several(jerk=(f / 5.0) ** 9, contour=f / 2.0), 0.1, 10.0)
     assert found.limited_by == "contour"
@@ -242,7 +242,7 @@ def test_feeds_can_be_typed_back() -> None:
     assert close.tried == 5  # so close to each other that every digit is needed
 
 
-def test_what_ends_at_the_highest_feed_of_a_machine_can_be_typed_too() -> None:
+def test_highest_feed_of_a_machine_has_six_digits() -> None:
     """A velocity limit in deg/s on a radius has 16 digits; the tried feed has six."""
     machine = load_machine("lathe-winder")
     low, high = feed_range_m_s(machine)

@@ -149,7 +149,7 @@ def test_a_program_has_its_feeds_times_the_override(tmp_path: Path, mill: Machin
     assert min(abs(speed - 399.6) for speed in speeds) < 0.5
 
 
-def test_what_has_no_feeds_is_refused(examples: Path) -> None:
+def test_override_of_a_job_without_feeds_is_refused(examples: Path) -> None:
     with pytest.raises(OptionError, match=r"feed 120 %: .* has no feeds to multiply"):
         tl.prove(examples / "strap.seam.toml", "stitcher", feed="120 %", level="nominal")
     with pytest.raises((OptionError, PlanError)):
@@ -308,7 +308,7 @@ def test_an_error_over_the_tolerances_that_no_feed_mends_ends_the_search(
 
 
 @pytest.mark.long(shown_by="test_programs_with_feeds_that_differ_are_searched_by_their_override")
-def test_what_is_found_is_typed_back(
+def test_printed_override_gives_the_printed_time(
     tmp_path: Path, mill: Machine, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """The printed command has a feed in percent, is in spec, and takes the printed time.

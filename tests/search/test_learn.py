@@ -260,7 +260,7 @@ def test_the_face_learns_and_proves_with_the_table(seam: Path, tmp_path: Path) -
         ({"measured": "foot"}, "unknown measured"),
     ],
 )
-def test_what_cannot_be_learned_is_refused(
+def test_learning_refuses_an_impossible_request(
     seam: Path, words: dict[str, object], refusal: str
 ) -> None:
     with pytest.raises(OptionError, match=refusal):

@@ -195,7 +195,7 @@ def test_the_worst_of_the_stretches_is_that_of_the_whole_job(
     assert whole["velocity", "X"] > 1.2 * plain["velocity", "X"]
 
 
-def test_of_stretches_that_fail_the_shortest_alone_is_judged(
+def test_only_the_shortest_failing_stretch_is_judged(
     tmp_path: Path, machine: Machine, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """One failing stretch rejects a feed, and the shortest costs least."""

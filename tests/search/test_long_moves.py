@@ -61,7 +61,7 @@ def test_both_ends_of_a_long_move_stay(tmp_path: Path, machine: Machine) -> None
     assert (np.abs(gentle[1]) > 1.1 * np.abs(after[1])).all()
 
 
-def test_what_is_judged_is_that_of_the_whole_job(tmp_path: Path, machine: Machine) -> None:
+def test_cut_job_has_the_results_of_the_whole_job(tmp_path: Path, machine: Machine) -> None:
     """Compared with every tick of the job, in each criterion.
 
     The motors have even microsteps: at a turning point the place within a step matters, and it is
@@ -91,7 +91,7 @@ def test_what_is_judged_is_that_of_the_whole_job(tmp_path: Path, machine: Machin
         assert found[key] == pytest.approx(value, rel=0.03, abs=allowed), key
 
 
-def test_what_leaves_the_travel_is_judged_without_its_ends(
+def test_cut_job_that_leaves_the_travel_is_judged_without_ends_of_travel(
     tmp_path: Path, machine: Machine
 ) -> None:
     """A hoop layer goes forth, quick steps go back: after a cut they would end beyond X's end."""
@@ -109,7 +109,7 @@ def test_what_leaves_the_travel_is_judged_without_its_ends(
     assert LongMoves.of(job, winder).without_middles(FEED, 1.0) == (job, winder)
 
 
-def test_what_needs_more_than_a_stroke_is_judged_without_its_ends(
+def test_cut_job_longer_than_the_stroke_is_judged_without_a_stroke(
     tmp_path: Path, machine: Machine
 ) -> None:
     """The job goes from -100 to 300 mm; without the layer's middle it begins at -350 mm."""

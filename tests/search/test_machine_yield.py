@@ -291,7 +291,9 @@ def test_machines_over_tolerances_of_a_frame_are_proved() -> None:
         (["x-180.prg", "-m", "lathe-winder", "--variants", "0"], "--variants"),
     ],
 )
-def test_what_cannot_be_drawn_is_refused(words, said, capsys: pytest.CaptureFixture[str]) -> None:
+def test_yield_refuses_an_impossible_request_in_one_line(
+    words, said, capsys: pytest.CaptureFixture[str]
+) -> None:
     with pytest.raises(SystemExit) as ended:
         main(["yield", str(JOB.parent / words[0]), *words[1:]])
     told = capsys.readouterr()

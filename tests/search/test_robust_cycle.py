@@ -100,7 +100,9 @@ def test_modes_move_as_they_are_told(tmp_path: Path) -> None:
 
 
 @pytest.mark.long(shown_by=OF_A_BAND)
-def test_it_is_in_spec_on_machines_of_the_band(robust: tuple[dict[str, Any], Path, Path]) -> None:
+def test_robust_cycle_is_in_spec_on_machines_of_the_band(
+    robust: tuple[dict[str, Any], Path, Path],
+) -> None:
     """The machine files have other feet, and none of them is a machine of the search.
 
     The feet carry the lift alone: the square of the frequency is proportional to their stiffness,
@@ -125,7 +127,9 @@ def test_it_is_in_spec_on_machines_of_the_band(robust: tuple[dict[str, Any], Pat
 
 
 @pytest.mark.long(shown_by=OF_A_BAND)
-def test_its_report_has_what_was_printed(robust: tuple[dict[str, Any], Path, Path]) -> None:
+def test_report_of_a_robust_cycle_has_the_printed_tables(
+    robust: tuple[dict[str, Any], Path, Path],
+) -> None:
     found, file, _ = robust
     page = (file.parent / "report" / "report.html").read_text(encoding="utf-8")
     assert "commands for modes within 20 %, move by move" in page
@@ -137,7 +141,9 @@ def test_its_report_has_what_was_printed(robust: tuple[dict[str, Any], Path, Pat
 
 
 @pytest.mark.long(shown_by=OF_A_BAND)
-def test_it_is_near_the_bound_of_all_valves(robust: tuple[dict[str, Any], Path, Path]) -> None:
+def test_commands_of_a_robust_cycle_are_near_the_lower_bound(
+    robust: tuple[dict[str, Any], Path, Path],
+) -> None:
     found, file, _ = robust
     for move in found["robust"]["moves"]:
         assert move["unshaped_s"] < move["bound_s"] <= move["command_s"] + 1e-9
@@ -198,7 +204,7 @@ def test_a_specification_that_limits_nothing_asks_for_no_robust_command(
     assert "limits no residual_vibration of Z" in err
 
 
-def test_its_report_is_that_of_the_cycle_that_was_found(
+def test_report_of_a_robust_cycle_proves_the_found_cycle(
     robust: tuple[dict[str, Any], Path, Path], capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Its proof gives the pictures and the verdict; its list is proved without a warning."""

@@ -69,13 +69,13 @@ def test_a_share_that_cannot_be_the_answer_is_left_out() -> None:
     assert shares.tried(0.5, Grid(near=16)) is not None and searched == [1.0, 0.5, 0.5]
 
 
-def test_of_a_short_job_no_share_is_left_out() -> None:
+def test_short_job_searches_every_share() -> None:
     shares, searched = shares_of({1.0: 200.0, 0.5: 300.0}, {0.5: 300.0})
     assert shares.tried(1.0, Grid()) is not None and shares.tried(0.5, Grid()) is not None
     assert searched == [1.0, 0.5] and not shares.left_out
 
 
-def test_where_the_highest_feed_is_no_plan_the_share_is_searched() -> None:
+def test_share_is_searched_if_its_highest_feed_breaks_a_limit() -> None:
     """With feed-forward the highest feed may break a limit that lower feeds keep."""
     shares, searched = shares_of({1.0: 1000.0, 0.5: 900.0}, {})
 
@@ -87,7 +87,7 @@ def test_where_the_highest_feed_is_no_plan_the_share_is_searched() -> None:
     assert searched == [1.0, 0.5]
 
 
-def test_how_far_it_is_only_grows_and_stays_below_all() -> None:
+def test_progress_of_the_search_over_shares_only_grows() -> None:
     told: list[float] = []
     shares, _ = shares_of({1.0: 1e3, 0.5: 9e2}, {0.5: 1.0, 0.25: 9e2, 0.125: 9e2}, told)
     for share in (1.0, 0.5, 0.25, 0.125):
@@ -195,7 +195,7 @@ def test_a_long_job_is_not_searched_with_limits_that_cannot_be_the_answer(
         )
 
 
-def test_of_a_long_job_the_fastest_interval_alone_is_looked_into() -> None:
+def test_long_job_examines_only_its_fastest_interval() -> None:
     """A gap in it and a narrow interval above it are found; gaps among slower feeds are not."""
     wanted = [(0.1, 0.2), (0.205, 0.3), (1.0, 1.8), (1.82, 2.0), (2.03, 2.06)]
 
@@ -213,7 +213,7 @@ def test_of_a_long_job_the_fastest_interval_alone_is_looked_into() -> None:
     assert "about the edges of the fastest" in resolution_words(all_of_them)
 
 
-def test_of_a_long_job_no_feed_is_tried_far_below_those_that_pass() -> None:
+def test_long_job_tries_no_feed_far_below_the_passing_ones() -> None:
     """Four passing feeds in a row from the top are enough; if none passes, all are tried."""
     tried: list[float] = []
 
@@ -260,7 +260,7 @@ def test_an_error_that_no_slower_motion_changes_ends_the_scan_from_above() -> No
     assert find_fastest(judged, 0.1, 10.0, Grid(points=20, every=False)).low == 0.1
 
 
-def test_whether_a_job_is_long_is_asked_before_the_first_search() -> None:
+def test_length_of_a_job_is_known_before_the_first_search() -> None:
     for at_top_s, long in ((301.0, True), (299.0, False)):
         shares, searched = shares_of({}, {1.0: at_top_s})
         assert shares.long is long and not searched
@@ -287,7 +287,7 @@ def test_below_feeds_that_pass_alone_the_next_interval_is_looked_into() -> None:
     assert found.alone == (alone,) and found.best == alone
 
 
-def test_what_limits_is_what_fails_above_the_best() -> None:
+def test_limiting_criterion_ignores_a_feed_that_passes_by_chance() -> None:
     """A known feed that passes by chance right above the edge does not hide the criterion."""
 
     def judged(feed: float) -> Verdict:

@@ -38,7 +38,7 @@ def test_merged_parts_are_one_run(
     assert capsys.readouterr().out == whole and quick == drawn
 
 
-def test_what_is_no_whole_is_named(capsys: pytest.CaptureFixture[str]) -> None:
+def test_incomplete_parts_of_a_speed_table_are_named(capsys: pytest.CaptureFixture[str]) -> None:
     for k in 1, 2:
         tables.main(["stitcher", "--part", f"{k}/2", "-o", f"{k}.part"])
     Path("text.part").write_text("{}")

@@ -40,7 +40,7 @@ def test_without_the_load_damping_it_is_as_printed() -> None:
     assert max(run["until_75_s"]) < 2 * STITCH_S
 
 
-def test_with_it_the_printed_redesign_misses_its_own_specification() -> None:
+def test_printed_redesign_with_load_damping_misses_its_specification() -> None:
     """The corners exceed 0.5 mm, and Y has not 95 % of 7.5 in/s within two stitches (26.7 ms)."""
     run = two_corners("stitcher-rigid-half-mass")
     assert 1e3 * np.array(run["corner_m"]) == pytest.approx((0.74, 1.54), abs=0.02)

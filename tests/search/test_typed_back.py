@@ -224,7 +224,7 @@ def test_feeds_over_the_tolerances_pass_on_the_machines_that_they_are_of(
                 assert proof.verdict.passed, (cell.mass, cell.stiffness, feed)
 
 
-def test_what_fails_at_all_speeds_is_named_as_prove_names_it(tmp_path: Path) -> None:
+def test_fastest_and_prove_name_the_same_failing_criterion(tmp_path: Path) -> None:
     """A snail whose stitches are too short at all tried speeds; no machine limit is broken."""
     turn = np.linspace(0.0, 6.0 * np.pi, 200)
     radius = 25.0 - 24.2 * turn / turn[-1]
@@ -280,7 +280,7 @@ def test_an_interval_is_cut_about_each_feed_that_fails() -> None:
 
 
 @pytest.mark.parametrize("phase", [0.0, 0.5, 1.0, 2.0, 2.5, 3.0, 5.5])
-def test_what_jumps_from_feed_to_feed_ends_an_interval_early(phase: float) -> None:
+def test_interval_ends_early_if_the_used_share_jumps_between_feeds(phase: float) -> None:
     """The used share jumps by up to 2 % between feeds 0.05 % apart, as with ``auto``.
 
     Over the tolerances ``auto`` jumps like this. A search that did not try feeds beside the

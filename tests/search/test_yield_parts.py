@@ -141,7 +141,7 @@ def test_every_machine_is_in_one_part_by_its_number() -> None:
     "text",
     ["0/0", "17/16", "-1/3", "0/3", "three", "3", "", "1/3/5", "1.5/3", "²/3", "1/" + "9" * 99],
 )  # fmt: skip
-def test_what_is_no_part_is_refused(text: str, said: Said, turn: list[str]) -> None:
+def test_malformed_part_is_refused(text: str, said: Said, turn: list[str]) -> None:
     with pytest.raises(OptionError):
         parse_part(text)
     code, out, err = said(*turn, f"--part={text}", "-o", "x.yield")

@@ -19,7 +19,7 @@ def test_the_interval_leaves_each_tail_its_share(passed: int, tried: int) -> Non
     assert binom.cdf(passed, tried, high) == pytest.approx(0.025, rel=1e-9)
 
 
-def test_all_of_them_say_at_least_so_much() -> None:
+def test_yield_bound_of_machines_that_all_pass_has_a_closed_form() -> None:
     """p^n = 2.5 %, in closed form."""
     assert clopper_pearson(10_000, 10_000) == (pytest.approx(0.025 ** (1 / 10_000)), 1.0)
     assert clopper_pearson(0, 10) == (0.0, pytest.approx(1.0 - 0.025**0.1))

@@ -188,7 +188,7 @@ def test_figure_6_of_the_pneumatic_paper() -> None:
     assert vibration_of(both, mode) < 1e-10
 
 
-def test_what_the_misread_damping_ratio_costs() -> None:
+def test_misread_damping_ratio_gives_the_known_vibration() -> None:
     designed = FlexibleMode(3.04, 0.17)
     real = FlexibleMode(3.04, 0.17 / 19.1)
     zv, um = design("zv", designed), design("um-2ei", designed)
@@ -267,7 +267,7 @@ def test_many_humps_with_much_damping(kind: str, zeta: float, tolerance: float) 
     assert rings(1.0) == pytest.approx(modelled, abs=2e-4)
 
 
-def test_what_was_not_found_is_not_called_missing() -> None:
+def test_unconverged_design_is_reported_as_not_found() -> None:
     with pytest.raises(ShaperError, match="not found"):
         design("3hump-ei", FlexibleMode(1.0, 0.29), tolerance=0.1)
 

@@ -59,7 +59,7 @@ def test_modes_far_apart_cost_little_more_than_the_slower_alone(ratio: float) ->
             assert simulated_vibration(found, float(f), mode.damping_ratio) < 0.05 + 1e-9
 
 
-def test_what_is_beyond_a_train_is_refused() -> None:
+def test_modes_that_no_single_train_can_serve_are_refused() -> None:
     far = [Requirement(FlexibleMode(0.043)), Requirement(FlexibleMode(645.0))]
     with pytest.raises(
         OptionError, match=r"0.043 Hz and 645 Hz: the ratio 1.5e\+04 is beyond 1000"

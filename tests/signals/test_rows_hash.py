@@ -102,7 +102,7 @@ def test_a_schedule_has_the_documented_hash() -> None:
     )  # fmt: skip
 
 
-def test_whatever_a_controller_is_told_changes_the_hash() -> None:
+def test_every_field_sent_to_a_controller_changes_the_hash() -> None:
     base = schedule().rows_sha256()
     other = [
         {"clock": Clock("plc", Fraction(1, 501))},

@@ -52,7 +52,7 @@ def play(blocks: Stream[StitchBlock], library: tuple[StepTable, ...] = LIBRARY) 
     )
 
 
-def test_it_ends_where_its_tables_lead_however_it_is_cut() -> None:
+def test_end_of_a_step_play_does_not_depend_on_its_chunks() -> None:
     """Stitch by stitch in plain Python."""
     x, y = 7, 0
     for k in range(1000):

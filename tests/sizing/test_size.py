@@ -233,7 +233,7 @@ def test_an_amplifier_that_is_too_small_is_named_and_one_that_suffices_is_not() 
         assert any("cruising alone" in text for text in warnings) is warned
 
 
-def test_of_two_rules_the_larger_acceleration_counts() -> None:
+def test_size_takes_the_larger_acceleration_of_two_rules() -> None:
     """With a loose placement limit, the ramp of two stitches needs more."""
     result = size(Demands(**{**STITCHER_X, "placement_m": 0.2 * IN}))
     assert result["corner acceleration"].value < result["ramp acceleration"].value

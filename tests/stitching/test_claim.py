@@ -42,7 +42,7 @@ def test_a_law_for_the_mode_turns_the_shaft_two_and_a_half_times_as_fast() -> No
 
 
 @pytest.mark.parametrize("ratio", [0.9, 1.0, 1.1])
-def test_it_lands_still_on_the_twin(ratio: float) -> None:
+def test_made_law_leaves_the_allowed_residual_on_the_twin(ratio: float) -> None:
     """In steps of 2 um, on a frame within 10 % of the mode, stiff servo: 0.05 mm and two steps."""
     found = made(16.0)
     # By angle: cut for 120 ms, and played at the speed for which the law was made.

@@ -39,7 +39,7 @@ def read_tables(content: bytes) -> list[tuple[int, list[int]]]:
 ROW = "<qqiiiiiiq"
 
 
-def test_what_was_checked_of_the_tables_is_printed(
+def test_compile_prints_the_checks_of_step_tables(
     examples: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Count, shortest interval, ends and residual, compared with the tables in another reader."""

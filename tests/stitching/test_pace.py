@@ -389,7 +389,7 @@ def test_a_shaft_that_cannot_vary_takes_the_highest_speed_that_is_still_enough(
     assert said.startswith("one for the whole design, which the spindle cannot vary")
 
 
-def test_what_is_said_beside_a_plan_is_true_of_a_plan_of_one_speed(examples: Path) -> None:
+def test_printed_speed_limit_holds_for_a_plan_at_one_speed(examples: Path) -> None:
     """The slowest stitch alone is no bound of one speed: 16.5 mm, still in every longer window."""
     job = read_job(examples / "rosette.dst", MACHINE)
     given = replace(Options(), feed=parse_feed("150 stitch/min"))

@@ -113,7 +113,7 @@ def test_a_stretch_goes_on_from_the_swing_and_speed_before_it_and_into_turns_tha
     assert cost_s(np.array([*turns[:2], *found]), asked, False) == pytest.approx(least, rel=1e-9)
 
 
-def test_what_is_refused_everywhere_is_not_found() -> None:
+def test_schedule_search_returns_none_if_no_turn_is_allowed() -> None:
     strict = PricedRequest(tolerance_m=1e-7, price_s=PRICE_S, most=MOST, width=10, cells=3.0)
     assert priced_turns(CHOICE_S[:5], 0, np.ones(5), (limits(5), swung()), strict) is None
 

@@ -23,7 +23,7 @@ from threadline.proof.pipeline import open_job, plan_job
 LENGTHS = (30, -80, 120, 5, -165, 60, 60, -20)  # tenths of a millimetre, along X
 
 
-def test_its_schedule_leaves_what_it_may() -> None:
+def test_schedule_keeps_the_tolerance_of_the_swing() -> None:
     """At each entry of the needle scipy's frame swings at most by the tolerance."""
     machine = machine_of("schiffli-frame")
     assert machine.shaft is not None and machine.shaft.acceleration is not None

@@ -268,7 +268,7 @@ def test_one_end_that_more_runs_refuse_is_enough_to_search_again_with_all(
     assert all(one.high <= 1.0 for one in found.intervals)
 
 
-def test_how_far_a_search_is_never_falls_and_never_ends_before_it() -> None:
+def test_progress_of_a_shaft_search_never_falls_and_ends_with_the_search() -> None:
     """Here every other hundredth of the speed passes, so the search has much to find on its way."""
     reports: list[float] = []
 

@@ -37,7 +37,7 @@ def test_a_passage_between_the_speeds_of_the_grid_is_found(
     assert total_s(turn_s, 1.0 / 3.0) <= 1.05 * 13.5
 
 
-def test_it_is_within_the_tolerance_by_another_sum_of_swings(
+def test_shortened_schedule_keeps_the_tolerance_by_an_independent_sum(
     passage: tuple[Moves, np.ndarray],
 ) -> None:
     """The sum takes modes 0.3 % apart over +-5 %, and 0.7, 1 and 1.3 times the damping."""

@@ -112,7 +112,7 @@ def test_steps_are_placed_exactly_in_time(stretched: float) -> None:
 
 
 @pytest.mark.parametrize("frequency", [8.0, 12.0, 25.0])
-def test_what_a_move_leaves_is_what_the_law_leaves(frequency: float) -> None:
+def test_residual_of_a_move_agrees_with_the_closed_form_of_its_law(frequency: float) -> None:
     """On a stiff servo, 16.5 mm in 120 ms leave the closed form's amplitude within 1 %."""
     stiffness = 1000.0 * (2.0 * np.pi * frequency) ** 2
     machine = with_numbers(
@@ -138,7 +138,7 @@ def test_what_a_move_leaves_is_what_the_law_leaves(frequency: float) -> None:
     assert peak == pytest.approx(exact, rel=0.01, abs=3e-6)
 
 
-def test_it_is_the_same_however_it_is_cut_and_ends_where_it_was_sent() -> None:
+def test_simulated_stitching_does_not_depend_on_its_blocks() -> None:
     tables = step_tables(
         law("cycloidal"), window_s=Fraction(12, 100), timer_s=TIMER, steps_per_unit=48,
         longest_units=20,
@@ -204,7 +204,7 @@ def test_the_needle_is_down_between_its_angles() -> None:
     assert np.array_equal(down == 1, inside)
 
 
-def test_what_it_cannot_play_is_refused_in_one_line() -> None:
+def test_unplayable_step_tables_are_refused_in_one_line() -> None:
     tables = (StepTable(units=1, intervals=np.full(48, 1000)),)
     play = commands(tables, [[0, -1]], [[1, 0]])
     with pytest.raises(RecordingError, match="another machine file"):

@@ -229,7 +229,7 @@ def test_channels_of_other_instants_than_the_needle_are_not_measured() -> None:
     assert found.note.startswith("X.load and needle are not of the same instants")
 
 
-def test_what_no_window_holds_fails_and_is_told_its_speed() -> None:
+def test_move_too_long_for_its_window_fails_with_a_speed_that_suffices() -> None:
     """At full speed with half of the acceleration, 16.5 mm need 1.414 times the window."""
     soft = load_machine("schiffli-frame")
     axes = {

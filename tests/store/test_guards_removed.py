@@ -38,7 +38,7 @@ def cut_short(folder: Path) -> None:
     """Read the rest of a crashed trace that has all its blocks and no end."""
     recording = test_recording_mcap.short_recording()
     last = test_recording_mcap.whole_file(recording)[1][-1]
-    test_recording_mcap.test_what_a_crash_leaves.hypothesis.inner_test(  # type: ignore[attr-defined]
+    test_recording_mcap.test_cut_recording_keeps_its_whole_blocks_and_ends_in_a_fault.hypothesis.inner_test(  # type: ignore[attr-defined]
         recording, SimpleNamespace(mktemp=lambda _: folder), SimpleNamespace(draw=lambda _: last)
     )
 

@@ -39,7 +39,7 @@ def begun(file: io.BufferedIOBase | io.BytesIO) -> ChunkedMessages:
 
 
 @pytest.mark.parametrize("count", [0, 1, 40])
-def test_it_writes_the_same_bytes(count: int) -> None:
+def test_chunk_writer_equals_the_library_byte_by_byte(count: int) -> None:
     messages = [(1000 * k + 5, bytes(range(k))) for k in range(count)]
     file = io.BytesIO()
     writer = begun(file)

@@ -104,7 +104,7 @@ def test_a_url_of_the_index_that_cannot_be_read_is_no_store_of_its_own(tmp_path:
     assert [one.name for one in tmp_path.iterdir()] == [INDEX_URL]
 
 
-def test_how_a_run_ended_is_kept_before_it_is_judged(
+def test_end_of_a_run_is_stored_before_its_verdict(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """An operator who interrupts the judging does not lose the run's end."""

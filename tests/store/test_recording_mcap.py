@@ -86,7 +86,7 @@ def test_the_peers_reader_reads_it(recording: Recording) -> None:
 
 
 @given(st.data())
-def test_what_a_crash_leaves(
+def test_cut_recording_keeps_its_whole_blocks_and_ends_in_a_fault(
     recording: Recording, tmp_path_factory: pytest.TempPathFactory, data: st.DataObject
 ) -> None:
     """Cut after its first block: every whole block is there, and the trace says it broke off."""
@@ -237,7 +237,7 @@ def packed(recording: Recording, compression: str, size: int, more: bytes = b"")
 
 
 @pytest.mark.parametrize("compression", ["", "lz4", "zstd"])
-def test_what_another_tool_has_packed_is_read(
+def test_recording_compressed_by_another_tool_is_read(
     recording: Recording, tmp_path: Path, compression: str
 ) -> None:
     path = tmp_path / "packed.mcap"

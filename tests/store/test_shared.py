@@ -129,7 +129,7 @@ def test_a_locked_index_is_one_line_before_anything_moves(
         (["runs", "--store", "FILE"], "is no folder of runs"),
     ],
 )
-def test_who_asks_for_runs_makes_no_store(
+def test_listing_runs_creates_no_store(
     words: list[str], said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     file, folder = tmp_path / "file", tmp_path / "nowhere"

@@ -58,7 +58,7 @@ def test_all_runs_of_a_job_are_judged_as_one(name: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.long(shown_by="test_all_runs_of_a_job_are_judged_as_one")
-def test_what_a_run_has_not_reached_is_of_the_run_before_it(tmp_path: Path) -> None:
+def test_whole_trace_takes_later_rows_from_the_earlier_run(tmp_path: Path) -> None:
     """Broken off twice, and continued from a place before the begin of the second run."""
     plan = planned("lathe-winder")
     first, executed = broken_off("lathe-winder")

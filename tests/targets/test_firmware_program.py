@@ -157,7 +157,7 @@ def test_the_time_of_the_firmware_s_own_planner_is_told(tmp_path: Path, xya: Mac
     assert "which the firmware makes itself" in file.warnings[0]
 
 
-def test_what_is_not_the_plan_is_not_written(
+def test_program_that_reads_back_differently_is_not_written(
     tmp_path: Path, xya: Machine, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """When the ends read back 0.1 mm off, there is an error and no file."""

@@ -142,7 +142,7 @@ def test_any_position_is_written_to_the_last_digit(
         assert abs(got - wanted) <= 2 * math.ulp(wanted) + 1e-17
 
 
-def test_what_a_part_program_cannot_say_is_refused(tmp_path: Path) -> None:
+def test_operation_without_a_word_in_part_programs_is_refused(tmp_path: Path) -> None:
     """An output has no word; no file is left, whole or in part."""
     job = Job(name="made", file="made", sha256="", axes=("A", "X", "Y"), start=(0.0,) * 3,
               operations=Stream.of([SetOutput("valve", 1.0, Source("made", 4))]))  # fmt: skip

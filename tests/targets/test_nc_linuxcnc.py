@@ -152,7 +152,7 @@ def random_program(rng: random.Random) -> str:
 
 
 @pytest.mark.parametrize("seed", range(25))
-def test_both_read_the_same_program_alike(rs274: str, tmp_path: Path, seed: int) -> None:
+def test_random_program_reads_alike_in_linuxcnc(rs274: str, tmp_path: Path, seed: int) -> None:
     """Moves, dwells and rapid moves of a random program are the same in both readers."""
     program = tmp_path / "a.ngc"
     program.write_text(random_program(random.Random(seed)))

@@ -104,6 +104,6 @@ def test_any_monotone_law_and_no_other() -> None:
         ({"longest_units": 10_000_000}, "limit 50000000"),
     ],
 )
-def test_what_no_controller_plays_is_refused(changed: dict[str, object], said: str) -> None:
+def test_step_table_beyond_the_controller_is_refused(changed: dict[str, object], said: str) -> None:
     with pytest.raises(PlanError, match=said):
         step_tables(law("modified-sine"), **({"timer_s": TIMER} | FRAME | changed))

@@ -98,7 +98,7 @@ def test_the_brake_follows_the_program(plan: Plan, recorded: Recording) -> None:
         assert alone[rows].mean() == pytest.approx(spool.tension_n, rel=0.01)
 
 
-def test_it_is_tied_under_the_tension_of_its_first_layer(recorded: Recording) -> None:
+def test_fibre_is_tied_under_the_tension_of_the_first_layer(recorded: Recording) -> None:
     assert recorded.samples("tension")[1][0] == pytest.approx(ASKED[0], rel=1e-9)
 
 

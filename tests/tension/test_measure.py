@@ -46,7 +46,7 @@ def measured(recording: Recording, plan: Plan, spec: Spec) -> Result:
     return found
 
 
-def test_it_is_the_largest_deviation_from_the_mean_at_its_line(
+def test_tension_measure_is_the_largest_deviation_from_the_mean(
     plan: Plan, whole: Recording, spec: Spec
 ) -> None:
     tick, even, peak = 1700, 8.0, 8.9
@@ -67,7 +67,7 @@ def test_it_is_the_largest_deviation_from_the_mean_at_its_line(
 
 
 @pytest.mark.parametrize("at", [10, 3700])
-def test_what_is_before_the_fibre_and_behind_it_does_not_count(
+def test_tension_outside_the_laid_fibre_is_not_judged(
     plan: Plan, whole: Recording, spec: Spec, at: int
 ) -> None:
     """Tick 10 is the approach; at tick 3640 the motion has ended, and the fibre rests."""
@@ -149,7 +149,7 @@ def test_a_machine_with_a_spool_asks_for_five_percent(plan: Plan, spec: Spec) ->
         assert found["slack"] == 0.05  # take_up of the product: 50 mm
 
 
-def test_its_numbers_vary_over_tolerances_and_days(plan: Plan, spec: Spec) -> None:
+def test_numbers_of_the_spool_vary_over_tolerances_and_runs(plan: Plan, spec: Spec) -> None:
     names = {number for one in uncertain(plan.machine) for number in one.numbers}
     assert {"spool.torque", "spool.radius", "spool.friction", "spool.arm.stiffness"} <= names
     proof = prove_plan(plan, spec, trials=Trials(repeats=3))

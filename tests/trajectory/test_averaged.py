@@ -120,7 +120,7 @@ def test_operations_change_where_they_did():
 
 
 @pytest.mark.parametrize("between", [SetOutput("valve", 1.0, HERE), Dwell(0.05, HERE)])
-def test_what_needs_rest_gets_it(between):
+def test_averaged_motion_rests_for_operations_that_need_it(between):
     """The load stands still in the middle of the rest; an empty dwell rounds the corner."""
     pieces = [[[0, 0], [0.06, 0]], [[0.06, 0], [0, 0.06]]]
     path = motion(pieces, [0.3, 0.3], operation=np.array([0, 2]))
@@ -210,7 +210,7 @@ def test_reader_holds_the_blocks_around_an_instant_alone():
 
 
 @pytest.mark.parametrize("blocks", [1, 2])
-def test_where_a_speed_steps_it_is_that_with_which_the_motion_goes_on(blocks):
+def test_velocity_at_a_step_is_the_value_after_it(blocks):
     """Wherever the blocks are cut: 1 m/s up to the first second, 2 m/s from then on."""
     whole = TrajectoryBlock(
         start_s=np.array([0.0, 1.0]),

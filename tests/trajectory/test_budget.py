@@ -101,7 +101,7 @@ def test_a_dwell_and_a_slow_feed_are_refused_at_their_lines(tmp_path: Path) -> N
         check_budget(slow, MACHINE)
 
 
-def test_what_is_within_the_budget_passes(tmp_path: Path) -> None:
+def test_job_within_the_tick_budget_passes(tmp_path: Path) -> None:
     """The budget comes from the machine file: with half of it the same job is refused."""
     job = program(tmp_path, "O1\nG91 G1 X1 F2000\nX-1\nM99\nO2\nM98 P1 L1000000\nM30\n")
     check_budget(job, MACHINE, FEED)  # 1.1e7 ticks

@@ -125,6 +125,6 @@ def test_a_straight_way_has_no_centripetal_acceleration():
         ({"deceleration": np.inf}, "deceleration of axis 0 is inf"),
     ],
 )
-def test_what_is_no_limit_is_refused_by_name(given, said):
+def test_impossible_path_limit_is_refused_by_name(given, said):
     with pytest.raises(PlanError, match=said):
         retime([[0.0, 0.0], [1.0, 1.0]], 1.0, 1.0, **given)

@@ -136,7 +136,7 @@ def test_a_million_random_instants_are_within_the_limits_and_the_tolerance():
         assert np.linalg.norm(place - a - t[:, None] * d, axis=1).min() < 2e-6
 
 
-def test_it_rests_where_the_program_rests_and_starts_and_ends_without_acceleration():
+def test_optimal_motion_rests_with_the_program_and_ends_without_acceleration():
     dwell = Dwell(0.25, Source("job.prg", 2))
     points = [[0.0, 0.0], [0.1, 0.05], [0.2, 0.0]]
     _, _, with_dwell = plan(("X", "Y"), points, extra={1: dwell})
@@ -243,7 +243,7 @@ def test_a_dense_run_has_as_many_elements_as_pieces_and_loses_little(monkeypatch
     assert coarse_s == pytest.approx(fine_s, rel=5e-3)
 
 
-def test_what_no_cut_brings_within_a_limit_slows_the_motion(monkeypatch):
+def test_motion_is_slowed_if_no_cut_keeps_a_limit(monkeypatch):
     """The elements are so long that their polynomials in time exceed limits that no cut mends."""
     points = [[0.0, 0.0], [0.1, 0.05], [0.2, 0.0], [0.1, 0.1]]
     cut_s = plan(("X", "Y"), points)[2].duration_s

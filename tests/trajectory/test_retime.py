@@ -209,7 +209,7 @@ def test_a_higher_limit_of_velocity_costs_no_time(seed, jerk):
         ({"tolerance": 10**400}, "tolerance is 1000.*of at most 1e.09"),
     ],
 )
-def test_what_is_no_number_in_range_is_refused_by_name(given, said):
+def test_argument_out_of_range_is_refused_by_name(given, said):
     asked = {"points": [[0.0], [1.0]], "velocity": 1.0, "acceleration": 1.0, **given}
     with pytest.raises(PlanError, match=said):
         retime(**asked)
@@ -228,7 +228,7 @@ def test_what_is_no_number_in_range_is_refused_by_name(given, said):
         (np.array([1j]), "they must be numbers"),
     ],
 )
-def test_what_is_no_time_is_refused(times, said):
+def test_time_that_is_not_a_number_is_refused(times, said):
     """A time that is not a number once gave the start of the motion, without a message."""
     motion = retime([[0.0], [1.0]], 1.0, 1.0)
     with pytest.raises(PlanError, match=said):

@@ -47,7 +47,7 @@ def test_one_reading_tells_duration_and_motion() -> None:
     assert made.begun == 3
 
 
-def test_it_travels_and_one_that_stands_never_moves() -> None:
+def test_pickled_trajectory_keeps_its_span_of_motion() -> None:
     still = Trajectory(axes=("X",), blocks=Stream.of([block(0.0, 0.0)]))
     assert still.moves_s == (0.0, 0.0) and still.duration_s == 0.5
     there = pickle.loads(pickle.dumps(still))

@@ -74,7 +74,7 @@ def test_all_limits_hold_at_a_million_instants_of_windows(short):
         assert np.abs(motion(times, order)).max() <= 1.001 * limit
 
 
-def test_where_no_way_on_is_known_the_plan_ends_in_a_rest(short, monkeypatch):
+def test_window_without_a_continuation_ends_at_rest(short, monkeypatch):
     """No slow motion could continue any window: each ends at rest, and the next begins there."""
     way = windows._slow_way
     monkeypatch.setattr(

@@ -22,7 +22,7 @@ def of(inertia: list[float]) -> Values:
     return Values.of(WINDER, {INERTIA: np.array(inertia)})
 
 
-def test_what_differs_in_one_number_has_an_engine_of_its_own() -> None:
+def test_machines_with_different_numbers_get_separate_engines() -> None:
     start = np.zeros(len(WINDER.axes))
     first = engine_of(of([3.6e-4, 3.7e-4]), start)
     assert engine_of(of([3.6e-4, 3.7e-4]), start.copy()) is first

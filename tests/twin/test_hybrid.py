@@ -386,7 +386,7 @@ endless = true
     np.testing.assert_allclose(load, expected[: len(load)], atol=1e-9)
 
 
-def test_what_cannot_be_honoured_is_refused(belt_axis, table):
+def test_clocks_and_parts_that_cannot_be_simulated_are_refused(belt_axis, table):
     """Clocks that hardly ever meet, and a part too fast for the ticks."""
     odd = 'clock = "odd"\nreference_clock = "servo"'
     awkward = belt_axis(clocks='odd = "1.0000001 ms exact, assumed"', controllers_c=odd)

@@ -77,7 +77,7 @@ def test_a_harmed_file_is_made_again(tmp_path: Path, harm: str) -> None:
     assert file.read_bytes() == whole
 
 
-def test_where_nothing_can_be_written_it_is_made_each_time(tmp_path: Path) -> None:
+def test_kernel_is_made_each_time_without_a_writable_folder(tmp_path: Path) -> None:
     file = tmp_path / "no folder"
     file.write_text("a file")
     assert answer(file, 7) == 107
@@ -85,7 +85,7 @@ def test_where_nothing_can_be_written_it_is_made_each_time(tmp_path: Path) -> No
     assert files(tmp_path) == [file]
 
 
-def test_what_was_not_asked_for_the_longest_goes_first(
+def test_least_recently_used_code_is_removed_first(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(compiling, "MOST", 2)
@@ -113,7 +113,7 @@ def by_shape(folder: Path, shape: str, number: int, written: list[int]) -> int:
     return int(CFUNCTYPE(c_int64, c_int64)(compiler.address(write, "f", shape))(100))
 
 
-def test_what_is_known_by_its_shape_is_not_written_again(
+def test_kernel_with_a_known_shape_is_not_written_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     written: list[int] = []
@@ -174,7 +174,7 @@ def test_the_digest_is_of_all_sources_that_write_a_kernel() -> None:
     }
 
 
-def test_who_wants_the_same_waits_for_whoever_makes_it(tmp_path: Path) -> None:
+def test_second_process_waits_for_the_maker_of_the_same_kernel(tmp_path: Path) -> None:
     """This stands for another process: a lock on a file belongs to the one who opened it."""
     maker, other = KeptCode(tmp_path), KeptCode(tmp_path)
     assert maker.read("a kernel") is None

@@ -267,7 +267,7 @@ def test_a_motion_that_loses_steps_is_out_of_spec(tmp_path: Path) -> None:
     assert any("drives.x needs" in s and "has 0.08" in s for s in plausibility_warnings(weak))
 
 
-def test_what_has_no_loop_is_not_refused_for_one(machine: Machine) -> None:
+def test_machine_without_loops_passes_the_stability_check(machine: Machine) -> None:
     check_loops(machine)
     assert unstable_loops(machine) == []
     with pytest.raises(OptionError, match=r"axis X of 'stepper-winder' has no loop: drives\.x"):
@@ -295,7 +295,7 @@ def test_parts_that_are_not_linear_are_refused_by_name(machine: Machine) -> None
     np.testing.assert_array_equal(known, whole[: len(known)])
 
 
-def test_its_numbers_vary() -> None:
+def test_numbers_of_a_stepper_drive_vary() -> None:
     machine = load_machine("stepper-winder")
     one = variant(machine, drawn(machine, 1, np.array([4]))[0])
     first, second = (simulate(table(m, stroke()), m).samples("X.torque_share")[1].max()
@@ -336,7 +336,7 @@ def test_equations_are_made_once_for_the_same_numbers(monkeypatch: pytest.Monkey
 
 
 @pytest.mark.parametrize("option", [["--lead", "13.5Hz,60deg"], ["--experiments"]])
-def test_what_is_asked_of_loops_is_refused(
+def test_options_on_loops_are_refused_for_a_machine_without_loops(
     option: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:
     with pytest.raises(SystemExit) as stopped:

@@ -216,7 +216,7 @@ pickle.dump([session.advance(), session.advance(ticks=100)], sys.stdout.buffer)
 
 @pytest.mark.long(but="sticking")
 @pytest.mark.parametrize("name", ["sticking", "stitcher"])
-def test_it_goes_on_in_another_process(name, sticking):
+def test_pickled_session_goes_on_in_another_process(name, sticking):
     """State, modes, dead times and waiting rows are sent; the stitcher has 16 advance lengths."""
     machine = sticking if name == "sticking" else load_machine("stitcher")
     rows = ROWS if name == "sticking" else np.full((160, 2), 50)

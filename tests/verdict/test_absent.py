@@ -95,7 +95,7 @@ def test_a_clamped_axis_cannot_be_hidden() -> None:
 
 
 @pytest.mark.parametrize("order", [1, -1])
-def test_of_several_recordings_the_one_without_the_channel_counts(order: int) -> None:
+def test_criterion_is_not_measured_if_one_recording_lacks_its_channel(order: int) -> None:
     _, operation = follow(POINTS, 20)
     whole = record(XY, columns(None, 0), operation)
     bare = record(XY, {K.LOAD: columns(None, 0)[K.LOAD]}, operation)
@@ -154,7 +154,7 @@ def test_no_result_is_anything_but_a_number_or_never(value: float, unit: str) ->
     assert result(None).measured is None and result(0.5).measured == 0.5
 
 
-def test_where_a_command_is_not_known_of_every_axis_there_is_no_position() -> None:
+def test_tracking_error_needs_the_command_of_every_axis() -> None:
     """X.commanded is absent: Y's command alone is not a place."""
     _, operation = follow(POINTS, 20)
     found = columns(K.COMMANDED, 0)

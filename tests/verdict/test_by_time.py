@@ -129,7 +129,7 @@ def _coarse(interval_ms: int, kinds=(ChannelKind.LOAD, ChannelKind.COMMANDED), s
 FOLLOWING = [name for name, kind in MEASURES.items() if kind.needs and kind.follows]
 
 
-def test_what_follows_the_path_is_all_that_needs_the_place_of_the_tool() -> None:
+def test_every_measure_of_the_tool_position_follows_the_path() -> None:
     at_tool = {
         name
         for name, kind in MEASURES.items()
@@ -228,7 +228,7 @@ def _sampled(every_ms: int, beside_m: float = 0.0, off_m: float = 0.0) -> Record
     return record(XY, {ChannelKind.LOAD: load}, None, clock=clock, simulated=False)
 
 
-def test_what_fits_between_two_samples_is_not_proven() -> None:
+def test_deviation_that_fits_between_two_samples_is_not_proven() -> None:
     """5 mm beside the path for 88 ms, between the samples at 0.90 s and 0.99 s.
 
     At 10.5 and 4.65 m/s^2, 11.48 together, a deviation of 11.6 mm is possible in 90 ms.

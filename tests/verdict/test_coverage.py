@@ -185,7 +185,7 @@ def test_a_run_that_is_faster_than_its_plan_is_whole() -> None:
     assert set(statuses(half, spec).values()) == {Status.NOT_MEASURED}
 
 
-def test_what_one_recording_shows_to_fail_another_cannot_hide() -> None:
+def test_failure_in_one_recording_is_not_hidden_by_an_incomplete_one() -> None:
     """One run is 5 mm off; the other lacks the channel, or ends early."""
     spec = spec_of(Criterion(name="contour_error", limit=5e-4))
     off, bare = run(5e-3), run()

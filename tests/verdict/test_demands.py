@@ -185,7 +185,7 @@ def test_beyond_the_travel_fails_and_an_endless_axis_has_none() -> None:
     ("far_m", "room", "note"),
     [(0.4, -0.1, "room left"), (0.5, 0.0, "room left"), (0.6, 0.1, "beyond")],
 )
-def test_what_is_left_of_a_travel_is_told_as_room_down_to_none(far_m, room, note) -> None:
+def test_travel_result_states_the_room_left_down_to_zero(far_m, room, note) -> None:
     """A motion that ends at the limit itself is within it."""
     plan = with_pieces([[[0.0], [far_m]]], [2.0])
     travel = judged(plan, load_spec(None, plan.machine)).result("travel", "X")

@@ -61,7 +61,7 @@ def test_a_run_that_came_to_its_end_passes_and_so_does_one_that_does_not_say(onc
 
 @pytest.mark.parametrize("once", [False, True])
 @pytest.mark.parametrize("kind", ["stopped", "fault"])
-def test_what_a_run_did_not_come_to_is_not_measured(kind, once) -> None:
+def test_criteria_of_an_incomplete_run_are_not_measured(kind, once) -> None:
     """Criteria of the plan keep their results; no other criterion passes, required or not."""
     verdict, plan = run(Event(tick=9, kind=kind, operation=1, name="the link is gone"), once=once)
     assert not verdict.passed
@@ -89,7 +89,7 @@ def test_a_run_that_ended_in_no_operation_names_none() -> None:
     assert closing(verdict).endswith("the run ended, stopped by the operator")  # named once
 
 
-def test_what_failed_before_the_end_has_failed() -> None:
+def test_failure_before_a_fault_stays_failed() -> None:
     verdict, _ = run(Event(tick=9, kind="fault", operation=1), amperes=2.0)
     assert verdict.result("current_peak").status is Status.FAILED
     assert closing(verdict).startswith("OUT OF SPEC")

@@ -63,7 +63,7 @@ def stopped() -> list[Event]:
     ]
 
 
-def test_what_a_stop_does_to_the_work_fails_nothing() -> None:
+def test_error_caused_by_a_stop_fails_no_criterion() -> None:
     """The load swings off its path while it brakes: the stop causes this, and nothing is proved."""
     verdict = judge([run_until(END, STOP, stopped())], plan_of(), SPEC)
 
@@ -73,7 +73,7 @@ def test_what_a_stop_does_to_the_work_fails_nothing() -> None:
     assert "until then" in verdict.result("contour_error").note
 
 
-def test_what_had_failed_before_a_stop_stays_failed() -> None:
+def test_failure_before_a_stop_stays_failed() -> None:
     verdict = judge([run_until(END, 20, stopped())], plan_of(), SPEC)
 
     assert verdict.result("contour_error").status is Status.FAILED

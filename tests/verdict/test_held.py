@@ -90,7 +90,7 @@ def test_without_the_record_the_plan_goes_on_while_it_is_held() -> None:
     assert found["velocity_ripple"].measured == pytest.approx(1.0)
 
 
-def test_what_the_machine_does_while_it_stands_is_judged() -> None:
+def test_motion_of_the_machine_during_a_hold_is_judged() -> None:
     found = judged(sewn_run(off=1.5e-3))
     assert found["progress_error"].measured == pytest.approx(1.5e-3)
     assert found["progress_error"].note == "ahead"

@@ -342,7 +342,7 @@ def test_repeatability_is_the_farthest_run_from_the_mean() -> None:
         assert str(few) in alone.note
 
 
-def test_of_several_recordings_the_worst_counts() -> None:
+def test_worst_of_several_recordings_counts() -> None:
     commanded, operation = follow(POINTS, 20)
     recordings = [
         record(("X", "Y"), {K.LOAD: commanded + np.array([0.0, off])}, operation)

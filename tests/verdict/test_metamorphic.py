@@ -43,7 +43,9 @@ def run(kind: str, folder: Path, count: int) -> Iterator[str]:
 @pytest.mark.long(but=("same-program-few", "same-winding-few", "same-machine-few"))
 @pytest.mark.parametrize("divisor", [5, 1], ids=["few", "all"])
 @pytest.mark.parametrize("kind", cases.CLASSES)
-def test_what_must_not_matter_changes_no_verdict(kind: str, divisor: int, tmp_path: Path) -> None:
+def test_irrelevant_changes_leave_the_verdict_unchanged(
+    kind: str, divisor: int, tmp_path: Path
+) -> None:
     assert list(run(kind, tmp_path, CASES[kind] // divisor)) == []
 
 
@@ -58,7 +60,7 @@ def test_what_must_not_matter_changes_no_verdict(kind: str, divisor: int, tmp_pa
         ("follows.seam.toml", tuple(range(1, 2113, 50))),
     ],
 )
-def test_where_a_recording_is_cut_into_blocks_changes_no_value(
+def test_cutting_a_recording_into_blocks_changes_no_value(
     name: str, edges: tuple[int, ...]
 ) -> None:
     kept = next(kept for kept in pool() if kept.seed.file.name == name)

@@ -62,7 +62,7 @@ def test_a_recording_that_keeps_its_limits_is_measured_itself() -> None:
 
 @pytest.mark.parametrize("simulated", [False, True])
 @pytest.mark.parametrize("kind", [ChannelKind.LOAD, ChannelKind.MEASURED, ChannelKind.TOOL])
-def test_what_a_recording_breaks_is_failed(kind: ChannelKind, simulated: bool) -> None:
+def test_limit_broken_in_a_recording_is_failed(kind: ChannelKind, simulated: bool) -> None:
     """An axis is 40 mm beyond its travel for some ticks, and gets there by a jump of 540 mm."""
     load = positions()
     load[50:60, 0] = -0.54

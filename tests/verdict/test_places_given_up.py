@@ -104,7 +104,7 @@ def judged_values(ways: list[np.ndarray]) -> np.ndarray:
     return Judge(PLAN, SPEC).each(side_by_side(ways)).row("progress_error").values
 
 
-def test_of_one_run_every_place_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_every_place_of_a_single_run_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
     """The run may come from a live machine, whose samples can be read only once."""
     seen = again(monkeypatch)
     back = late(2)

@@ -133,7 +133,7 @@ def test_a_command_that_stands_heads_where_it_went_last(per_block) -> None:
     assert result.note == "behind"
 
 
-def test_what_is_off_the_path_is_no_progress() -> None:
+def test_deviation_across_the_path_is_no_progress_error() -> None:
     command, operation = follow(LINE, PER_MOVE)
     result = progress(LINE, command + np.array([0.0, 4e-4]), operation, command=command)
     assert result.measured == pytest.approx(0.0, abs=1e-9)

@@ -121,7 +121,7 @@ def test_rounding_is_shown_as_nothing_and_kept_in_json() -> None:
     assert criteria_json(shown)[0]["measured"] == 4.3e-19
 
 
-def test_what_was_not_measured_does_not_hide_the_rest() -> None:
+def test_row_shows_the_worst_measured_value_beside_missing_ones() -> None:
     """The worst measured value is shown, with the number of missing ones if these are required."""
     small = Result(
         name="residual_vibration", axis="X", step="home", measured=2e-5, limit=1e-4, unit="m",
@@ -244,7 +244,7 @@ def test_a_verdict_without_a_limit_of_the_specification_says_that_limits_are_kep
 
 
 @pytest.mark.parametrize(("measured", "limit"), [(np.inf, 1e-3), (1.0, 5e-324)])
-def test_what_is_beyond_all_multiples_of_its_limit_is_said_in_words(
+def test_measurement_without_a_finite_share_of_its_limit_is_put_in_words(
     measured: float, limit: float
 ) -> None:
     """A machine that never settles, and a limit of almost 0: no share of it is a number."""

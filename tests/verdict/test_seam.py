@@ -99,7 +99,7 @@ def test_a_tip_that_is_cut_off_is_found_in_its_place() -> None:
     assert result.position[0] > 0.019
 
 
-def test_what_runs_ahead_on_the_line_is_no_error() -> None:
+def test_stitch_ahead_on_its_line_is_no_seam_error() -> None:
     """A tenth of a stitch too far along a straight line is no error, except at its end."""
     line = DrawnLine(arc_table(chords(np.array([[0.0, 0.0], [0.1, 0.0]]))), False)
     downs = [[2e-3 * k, 0.0] for k in range(31)]

@@ -67,7 +67,7 @@ def test_the_default_of_the_winder(name: str) -> None:
     assert len(spec.sha256) == 64
 
 
-def test_a_file(tmp_path: Path) -> None:
+def test_specification_file_is_read(tmp_path: Path) -> None:
     spec = read(tmp_path, GOOD)
     assert spec.name == "mine"
     assert spec.lag_s == pytest.approx(0.04)
@@ -301,7 +301,7 @@ def test_a_share_needs_its_unit_or_is_no_more_than_the_whole(tmp_path: Path, nam
             read(tmp_path, SHARE.format(name, written))
 
 
-def test_how_many_recordings_is_a_whole_number(tmp_path: Path) -> None:
+def test_number_of_recordings_must_be_whole(tmp_path: Path) -> None:
     text = SHARE.format("repeatability", '"1 mm"') + "recordings = {}\n"
     assert dict(named(read(tmp_path, text.format(5)), "repeatability")[0].options) == {
         "recordings": 5.0

@@ -95,7 +95,7 @@ def test_every_key_and_status_is_named() -> None:
         assert f"| `{status.value}` |" in part("Results")
 
 
-def test_what_is_judged_without_being_named_is_so(tmp_path: Path) -> None:
+def test_document_lists_the_criteria_judged_by_default(tmp_path: Path) -> None:
     """Two paragraphs name the criteria that are judged in addition to the named ones."""
     paragraphs = part("What is judged without being named").strip().split("\n\n")
     for text, machine, named in zip(

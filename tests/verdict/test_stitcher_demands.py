@@ -33,7 +33,7 @@ def failed(verdict: Verdict) -> set[str]:
     return {result.name for result in verdict.results if result.status is Status.FAILED}
 
 
-def test_its_limits_are_those_of_chapter_two() -> None:
+def test_default_limits_of_the_stitcher_are_those_of_the_thesis() -> None:
     """0.02 in, 5 % of a stitch's length and of the speed, and two stitches to the speed."""
     spec = load_spec(None, load_machine("stitcher"))
     limits = {c.name: c.limit for c in spec.criteria if c.required}

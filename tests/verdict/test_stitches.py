@@ -115,7 +115,7 @@ def test_needle_time_is_against_the_programmed_speed() -> None:
     assert result.note == "too long"
 
 
-def test_what_was_not_sewn_is_not_measured() -> None:
+def test_stitches_that_were_not_sewn_are_not_measured() -> None:
     verdict = sewn(SPEED_M_S * TIME_S[:100])
     for name in NAMES:
         assert verdict.result(name).status is Status.NOT_MEASURED

@@ -424,7 +424,7 @@ def test_points_on_chords_below_the_mandrel_are_left_out_where_a_finer_path_lies
         (MND.replace("-120.0000", "-12x.0000"), "a.mnd:6: '-12x.0000"),
     ],
 )
-def test_what_is_not_understood_of_a_mandrel_file_is_said(
+def test_unknown_line_of_a_mandrel_file_is_refused_with_the_reason(
     tmp_path: Path, text: str, said: str
 ) -> None:
     (tmp_path / "a.mnd").write_text(text)
@@ -449,7 +449,7 @@ def test_what_is_not_understood_of_a_mandrel_file_is_said(
         ("a.ctl", "1\nlost.pay 2", "a.ctl:2: the payout file 'lost.pay' is not beside"),
     ],
 )
-def test_what_is_not_understood_of_other_planners_is_said(
+def test_unknown_entry_of_another_planners_file_is_refused_with_the_reason(
     tmp_path: Path, name: str, text: str, said: str
 ) -> None:
     with pytest.raises(JobError) as error:

@@ -33,7 +33,7 @@ def _scale() -> FloatArray:
     return moves_of(tool, AXES, REACH_M)
 
 
-def test_what_is_dropped_lies_on_the_line_between_what_is_kept() -> None:
+def test_dropped_samples_lie_on_the_line_between_kept_samples() -> None:
     time, operation, places = _run(20_000)
     thinning = _thinning()
     kept = thinning.kept(time, operation, places)

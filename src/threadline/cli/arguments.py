@@ -29,7 +29,7 @@ def ratio(option: str) -> Callable[[str | float], float]:
 
         return parse_number(option, text, "", "20 %")
 
-    read.__name__ = "ratio"  # what --help calls such a value
+    read.__name__ = "ratio"  # name of the value in --help
     return read
 
 
@@ -141,7 +141,7 @@ def keep_inputs(output: Path | None, *inputs: Path | str | None) -> None:
     Raises
     ------
     OptionError
-        If the output is one of the inputs, under whatever name.
+        If the output is one of the inputs, also by another path to the same file.
     """
     if output is None or not output.exists():
         return

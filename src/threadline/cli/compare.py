@@ -126,7 +126,7 @@ _LEFT_OUT = {
     "shaft": "The fastest of each law is not searched: the shaft speed is searched with one "
     "law, which --law names.",
 }
-"""Why a comparison searches no fastest feed, by what paces the job."""
+"""Reason why a comparison searches no fastest feed, by the pace of the job."""
 
 
 def comparison_tables(

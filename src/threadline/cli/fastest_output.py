@@ -289,7 +289,7 @@ class FeedOutput(SearchOutput):
         return None not in (best, enough) and enough < best / _MUCH_LESS  # type: ignore[operator]
 
     def _limit(self, limited_by: str, *, best: bool = True) -> str:
-        """Return what limits the time; the end of the search limits the feed alone."""
+        """Return the limit of the time in words; the end of the search limits only the feed."""
         if best and limited_by == RANGE and self._far_above_enough:
             return self._beside_feed
         return limit_words(limited_by, self._end)

@@ -33,7 +33,7 @@ def judge(
     ] = None,
     json: JsonOption = False,
 ) -> None:
-    """Judge recordings of what a machine did, from Threadline or any program that writes a table.
+    """Judge recordings of a machine, written by Threadline or by any program that writes a table.
 
     Exit status: 0 in spec, 1 out of spec, 2 wrong input.
 

@@ -25,7 +25,8 @@ class LazyCommand:
     module
         Module name in ``threadline.cli``; its ``register`` adds the command to a typer application.
     summary
-        One line for ``threadline --help``: the first sentence of the command's own help.
+        One line for ``threadline --help``, a short form of the first sentence of the command's own
+        help.
     """
 
     module: str

@@ -125,7 +125,7 @@ class _WhileItStands(io.TextIOBase):
 
 
 class _Stage(ProgressColumn):
-    """The stage, read anew at each drawing: planning and writing tell how far they are."""
+    """Column with the stage; its text is read at each drawing, so that it shows the progress."""
 
     def render(self, task: Task) -> Text:
         """Return the text of the column, the first; the columns beside it draw the same share."""

@@ -415,7 +415,7 @@ def _content(answer: _Answer, written: Path | None) -> dict[str, Any]:
 def _measured(
     path: Path | None, mode: list[str] | None, axis: str | None, damping: list[float] | None
 ) -> Measured | None:
-    """Return what ``--measured`` holds; None where modes are given."""
+    """Return the mode measured in the file of ``--measured``; None if modes are given."""
     if path is None:
         if axis is not None:
             raise OptionError("--axis names the axis of --measured", remedy="Leave it out.")

@@ -192,7 +192,7 @@ def circuits_and_points(job: Job) -> tuple[int | None, int]:
 
 
 def _end_sources(item: Operation | MoveRun) -> tuple[Source, Source]:
-    """Return the sources of a run's first and last move; for an operation, twice its own."""
+    """Return the sources of a run's first and last move; for an operation, its source twice."""
     if not isinstance(item, MoveRun):
         return item.source, item.source
     first, last = (Source(item.file, int(item.line[k]), item.passes) for k in (0, -1))

@@ -4,7 +4,7 @@ Errors and warnings are shared with the command line, and name its options. If t
 for an option, the label of the field replaces the name of the option. Other options are marked as
 options of the command line.
 
-Methods get the present time as an argument, so that tests need not wait.
+Methods get the present time as an argument, and read no clock of their own.
 """
 
 from __future__ import annotations
@@ -235,7 +235,7 @@ class Client:
         self._ready.set()
 
     async def next_text(self, clock: Callable[[], float]) -> str | None:
-        """Wait for the next message, and return it; None if there is none after all."""
+        """Wait for the next message and return it; None if it was dropped meanwhile."""
         await self._ready.wait()
         if self._waiting:
             return self._waiting.popleft()

@@ -319,7 +319,7 @@ def _uses(proof: Proof) -> tuple[str, FloatArray] | None:
 
 
 def preview(folder: Path, program: str, machine: Machine) -> dict[str, Any]:
-    """Return the programmed path of a job, and what the page draws with it.
+    """Return the programmed path of a job, with its lines and stitches for the page.
 
     Raises
     ------

@@ -178,7 +178,7 @@ def owner_main() -> None:
 
 
 def own(server: Connection, owned: Owned) -> None:
-    """Own a machine until the server leaves, whatever signals come."""
+    """Own a machine until the server leaves; signals are ignored."""
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)  # the server handles signals, and sends a stop
     serve_owned(server, owned)

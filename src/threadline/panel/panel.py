@@ -373,7 +373,7 @@ class Panel:
         return float(progress["time_s"]) if progress["file"] == proven.program else None
 
     def state(self) -> say.State:
-        """Return the present state, without a number of its own."""
+        """Return the present state, without its sequence number."""
         now_s, now, control = clock_s(), self._owner.now, self._control
         held = control.holder(now_s)
         names = {number: client.name for number, client in self._clients.items()}

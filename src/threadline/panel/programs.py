@@ -251,7 +251,7 @@ def words_of(content: Mapping[str, Any], program: Path | None = None) -> Options
 def planned(folder: Path, content: Mapping[str, Any], machine: Machine) -> tuple[Plan, Options]:
     """Return the plan of a program, and its options.
 
-    It reads no file outside the folder, whatever program and options name.
+    It reads no file outside the folder, even if the program or an option names one.
 
     Raises
     ------

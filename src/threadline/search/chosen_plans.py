@@ -1,9 +1,9 @@
 """The fastest plan of a job over all choices of a plan of ``optimal``.
 
-``choices`` says what to try next; here each plan is made, judged and kept. A plan that is no
-shorter than the best one is not simulated. If a plan is out of specification only at single
-corners, these corners get a smaller tolerance, one after the other, and the other corners keep
-their full tolerance.
+``choices`` proposes the next plan to try; this module makes, judges and keeps each plan. A plan
+that is no shorter than the best one is not simulated. If a plan is out of specification only at
+single corners, these corners get a smaller tolerance, one after the other, and the other corners
+keep their full tolerance.
 """
 
 from __future__ import annotations

@@ -267,8 +267,8 @@ def as_run_s(plan: Plan) -> float | None:
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "program"
         try:
-            # A separate context writes the file at once, and keeps the messages of the caller
-            # unchanged.
+            # A fresh context writes the file at once, and its messages do not reach the command's
+            # output.
             written = Context().run(kind_of(plan.machine).targets[planner.kind].write, plan, file)
         except PlanError:
             return None

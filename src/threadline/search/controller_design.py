@@ -55,7 +55,7 @@ class Wanted:
     gain
         Static gain, as a multiple of the present controllers' static gain; 1.
     sensors
-        Sensors to read besides the encoders of the axes; none.
+        Sensors to read besides the encoders of the axes; default: none.
     ahead
         References that ``preview`` looks ahead; 4.
     smoothing

@@ -1,4 +1,4 @@
-"""The front of cost against yield: what more machines in specification cost in a redesign."""
+"""The front of cost against yield: the cost of more machines in specification in a redesign."""
 
 from __future__ import annotations
 

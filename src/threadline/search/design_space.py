@@ -229,8 +229,8 @@ def _check_settings(machine: Machine, design: Design) -> None:
     Raises
     ------
     MachineError
-        If the settings vary the acceleration and no axis has one, or design lead filters and the
-        machine has none.
+        If the settings vary the acceleration of a machine without axes, or design lead filters for
+        a machine without controllers.
     """
     settings = design.settings
     if settings.acceleration is not None and not machine.axes:

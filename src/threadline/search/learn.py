@@ -268,8 +268,8 @@ def learn(
     repeats
         Number of runs after the first one.
     trials
-        Runs that prove the best table. With several, each repeat has its own friction, supply and
-        phases of the encoders, too.
+        Runs that prove the best table. If there are several, each repeat also has other friction,
+        supply and encoder phases.
 
     Raises
     ------
@@ -325,7 +325,7 @@ def learned_verdict(
         Number of runs after the first one.
     trials
         Runs that prove a table. With ``ends`` each machine at the ends of the tolerances learns its
-        own table; the verdict is that of the first machine out of specification, or otherwise of
+        own table. The result is the verdict on the first machine out of specification, or else on
         the machine nearest to a limit.
     actual
         The machine that runs, without ``ends``; None: the machine of the plan.

@@ -1,9 +1,9 @@
 """Lower bounds of the time that a job takes: along the path of a plan, and along any path.
 
 One bound along the path of a plan keeps velocity, acceleration and jerk of the axes; another keeps
-volts and current of their drives, too. A bound for any path looks at one axis at a time: whatever
-the others do, the axis goes from each reversal to the next, and may turn back before either by the
-allowed deviation. The slowest axis bounds the job.
+volts and current of their drives, too. A bound for any path considers one axis at a time.
+Independently of the other axes, the axis travels from each reversal to the next, and may reverse
+before both by the allowed deviation. The slowest axis bounds the job.
 """
 
 from __future__ import annotations

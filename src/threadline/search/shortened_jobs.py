@@ -27,7 +27,7 @@ from threadline.motion.path import programmed_path
 
 EVENLY_S = 3.0
 """Time for which either end of a long move is simulated at constant speed, s."""
-_WORTH = 0.5  # a job is not shortened if a larger share of it would be kept
+_WORTH = 0.5  # a move or a job is not cut if a larger share of it would stay
 _LONG_MOVES_MOST_MOVES = 100_000  # a job with more moves is not cut
 
 

@@ -1,8 +1,8 @@
 """A measured cam: its table of angle and distance, and the motion of its follower.
 
 The position of a swinging follower is the angle phi between the sides b and c of a triangle. The
-third side is the measured distance h, so cos(phi) = (b^2 + c^2 - h^2) / (2 b c). The position of a
-sliding follower is h itself.
+third side is the distance h to the centre of the roller, so cos(phi) = (b^2 + c^2 - h^2) / (2 b c).
+The position of a sliding follower is h itself.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from threadline.units import parse_quantity
 _MOST_BYTES = 20_000_000
 _MOST_ROWS = 20_000
 _FEWEST = 6
-_MOST_DIGITS = 300  # largest exponent; a cell with a larger one is read as 0
+_MOST_DIGITS = 300  # largest number of decimals that count
 _COLUMN = re.compile(r"(?P<name>[A-Za-z]+)\s*(?:\[(?P<unit>[^\]]+)\]|_(?P<short>\w+))?")
 _KINDS = {"alpha": "rad", "h": "m", "phi": "rad"}
 _USUAL = {"alpha": "deg", "h": "mm", "phi": "deg"}
@@ -72,7 +72,7 @@ class Triangle:
         return np.asarray(np.sqrt(square) - self.roller_m)
 
     def slope_rad_m(self, h_m: FloatArray) -> FloatArray:
-        """Return (n,) d phi / d h = h / (b c sin phi), rad/m, at (n,) distances, m."""
+        """Return (n,) d phi / d h, rad/m, at (n,) distances, m: (h + roller) / (b c sin phi)."""
         phi = self.angle_rad(h_m)
         return np.asarray((h_m + self.roller_m) / (self.b_m * self.c_m * np.sin(phi)))
 
@@ -207,7 +207,7 @@ def read_cam(file: Path, triangle: Triangle | None = None) -> MeasuredCam:
 
 
 def _exponent(cell: str) -> int:
-    """Return the power of ten of the last written digit of a number."""
+    """Return the power of ten of the last written digit of a number, at least -300."""
     exponent = Decimal(cell.replace("_", "")).as_tuple().exponent
     return max(exponent, -_MOST_DIGITS) if isinstance(exponent, int) else 0
 

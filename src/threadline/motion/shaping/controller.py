@@ -83,8 +83,8 @@ class OverBand:
     mode, low_hz, high_hz, tolerance
         The mode, the band, and the V that is allowed over it.
     designed, nearest, made
-        Worst V over the band: of the design, of its times rounded to the nearest ticks, of the
-        realised train.
+        Largest V over the band: of the designed train, of the train rounded to the nearest ticks,
+        and of the realised train.
     designed_width, nearest_width, made_width
         Insensitivity of the three at the tolerance.
     """

@@ -31,7 +31,7 @@ MIN_HZ, MAX_HZ = 1e-6, 1e9
 
 
 class ShaperError(PlanError):
-    """A shaper that could not be designed, or that failed its own proof."""
+    """A shaper could not be designed, or its simulation disagreed with the design."""
 
     code = "SHAPER"
 
