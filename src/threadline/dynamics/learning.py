@@ -1,14 +1,14 @@
 """Learning filters: from the error of a run to the change of its references for the next run.
 
 A change ``e / T`` of the references compensates an error e of the load, where ``T`` is the closed
-loop from reference to load, with dead time and hold (``dynamics/inverse.py``). The filter is ``z Q
-/ T``, where z is a complex factor for each frequency and Q a zero-phase low-pass. On a machine with
-the closed loop ``T_c`` the share ``1 - z Q T_c / T`` of the error remains at each frequency. The
-error of the next run is smaller if the magnitude of this share is below 1 for every machine within
-the tolerances (Bristow, Tharayil and Alleyne, A survey of iterative learning control, IEEE Control
-Systems Magazine 26(3), 2006: Q-filter and plant inversion). At each frequency z minimises the
-largest magnitude over the machines, and is found with Lawson's weights. If this magnitude is still
-near 1, as next to the zeros of a lightly damped frame, nothing is learned at the frequency.
+loop from reference to load, with dead time and hold (``dynamics/inverse.py``). The filter is
+``z Q / T``: z is a complex factor for each frequency, and Q is a zero-phase low-pass. On a machine
+with the closed loop ``T_c`` the share ``1 - z Q T_c / T`` of the error remains at each frequency.
+The error of the next run is smaller if the magnitude of this share is below 1 for every machine
+within the tolerances (Bristow, Tharayil and Alleyne, A survey of iterative learning control, IEEE
+Control Systems Magazine 26(3), 2006: Q-filter and plant inversion). At each frequency z minimises
+the largest magnitude over the machines, and is found with Lawson's weights. If this magnitude is
+still near 1, as next to the zeros of a lightly damped frame, nothing is learned at the frequency.
 """
 
 from __future__ import annotations

@@ -196,7 +196,7 @@ class MatrixLoop(Loop):
         )
 
     def delays_s(self) -> FloatArray:
-        """Refuse: there is no continuous model."""
+        """Raise a ``MachineError``: there is no continuous model."""
         raise self._refused()
 
     def _refused(self) -> MachineError:
@@ -212,6 +212,11 @@ class MatrixLoop(Loop):
 
         It is minus the response from this axis' voltage to the output of its controller, with all
         other loops closed.
+
+        Raises
+        ------
+        MachineError
+            For the continuous model.
         """
         if model != "sampled":
             raise self._refused()
@@ -232,7 +237,13 @@ class MatrixLoop(Loop):
         return response
 
     def follower(self, model: Model = "sampled") -> Callable[[FloatArray], ComplexArray]:
-        """Return the response from this axis' reference to its sensor, all loops closed."""
+        """Return the closed-loop response from reference to sensor, as a function of (k,) rad/s.
+
+        Raises
+        ------
+        MachineError
+            For the continuous model.
+        """
         if model != "sampled":
             raise self._refused()
         closed = self.closed()

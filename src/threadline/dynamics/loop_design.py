@@ -133,7 +133,7 @@ class OpenPlant:
 
 
 def plant_grid(loop: Loop) -> FloatArray:
-    """Return frequencies for an ``OpenPlant``, dense around the plant's resonances, rad/s."""
+    """Return (k,) frequencies, rad/s, for an ``OpenPlant``, dense around the plant's resonances."""
     poles = loop.plant.poles()
     moving = np.abs(poles)[np.abs(poles) > 1e-6 * max(np.abs(poles).max(), 1.0)]
     low = 1e-2 * min(float(moving.min()) if len(moving) else 10.0, 10.0)
@@ -148,7 +148,7 @@ def plant_grid(loop: Loop) -> FloatArray:
 
 
 def open_plant(loop: Loop, omega_rad_s: FloatArray | None = None) -> OpenPlant:
-    """Return the plant of a loop on a grid of frequencies, by default ``plant_grid``."""
+    """Return the plant of a loop at (k,) frequencies, rad/s, by default ``plant_grid``."""
     grid = plant_grid(loop) if omega_rad_s is None else omega_rad_s
     volts = loop.filters[loop.index].volt_per_level
     return OpenPlant(

@@ -68,7 +68,7 @@ def not_decaying(matrix: FloatArray) -> ComplexArray:
 
 
 def swinging(matrix: FloatArray) -> ComplexArray:
-    """Return the complex eigenvalues of ``matrix`` in the upper half plane.
+    """Return the (k,) complex eigenvalues of an (n, n) matrix in the upper half plane.
 
     Rounding can give a critically damped pair a small imaginary part. A pair whose imaginary part
     is at most ``DOUBLE`` times the norm therefore counts as real.
@@ -80,7 +80,7 @@ def swinging(matrix: FloatArray) -> ComplexArray:
 
 
 def unstable_eigenvalues(matrix: FloatArray) -> ComplexArray:
-    """Return the eigenvalues of ``x[k+1] = matrix x[k]`` outside the unit circle, beyond rounding.
+    """Return the (k,) eigenvalues of ``x[j+1] = matrix x[j]``, (n, n), outside the unit circle.
 
     The position in a velocity loop has the eigenvalue 1, which is not an instability. An eigenvalue
     that is outside the circle by at most 1e-9, or by at most ``SIMPLE`` times the norm, counts as
@@ -207,7 +207,7 @@ def refined_grid(
 
 
 def margins_of(response: Response, grid: FloatArray) -> Margins:
-    """Return every crossover of ``response`` on ``grid`` (rad/s), each refined to 1e-12.
+    """Return every crossover of ``response`` on a (k,) grid, rad/s, each refined to 1e-12.
 
     A phase crossover with a gain below 1e-9 is rounding noise and is ignored.
     """

@@ -74,7 +74,7 @@ def stable_gains(numerator: FloatArray, denominator: FloatArray) -> tuple[tuple[
     Parameters
     ----------
     numerator, denominator
-        Polynomials, highest power first.
+        (n,) and (m,) coefficients of polynomials, highest power first.
     """
     top, bottom = np.asarray(numerator), np.asarray(denominator)
     even_top, odd_top = _on_axis(top)
@@ -132,7 +132,9 @@ class _Parts:
 
 
 def closed_poles(loop: Loop, gain: float = 1.0, within_rad_s: float | None = None) -> ComplexArray:
-    """Return the poles of the continuous closed loop, dead time exact, rightmost first.
+    """Return the (k,) poles of the continuous closed loop, rad/s, rightmost first.
+
+    The dead time is exact.
 
     Parameters
     ----------
@@ -309,7 +311,7 @@ def chain_of(plant: StateSpace) -> Chain:
 
 
 def zeros_of(plant: StateSpace) -> ComplexArray:
-    """Return the zeros of a plant with one input and one output, in rad/s.
+    """Return the (k,) zeros of a plant with one input and one output, rad/s.
 
     If the input holds the output constant, the states have the matrix ``A - B C A^r / (C A^(r-1)
     B)``. Its eigenvalues are the zeros of the plant, and r times 0.

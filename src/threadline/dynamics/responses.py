@@ -86,7 +86,7 @@ def step_response(
 def read_step(time_s: FloatArray, value: FloatArray, final: float) -> Step:
     """Return the figures of a step response with the final value ``final``.
 
-    Crossings are interpolated linearly between samples.
+    ``time_s`` and ``value`` are (k,). Crossings are interpolated linearly between samples.
     """
     share = value / final
     peak = int(np.argmax(share))

@@ -42,7 +42,10 @@ and current / step in A s/m or A s/rad (None without a coil)."""
 
 
 def frequencies_rad_s(period_s: float, count: int) -> FloatArray:
-    """Return the frequencies of the transform of ``count`` samples; 0 becomes very low."""
+    """Return the (count // 2 + 1,) frequencies, rad/s, of the real Fourier transform of samples.
+
+    The frequency 0 is replaced by a very low frequency.
+    """
     omega = 2.0 * np.pi * np.fft.rfftfreq(count, period_s)
     omega[0] = 1e-3 * omega[1]
     return np.asarray(omega)

@@ -315,7 +315,7 @@ class ClosedLoop:
     period_s: float
 
     def eigenvalues(self) -> NDArray[np.complex128]:
-        """Return the closed-loop poles in the z plane."""
+        """Return the (n,) closed-loop poles in the z plane."""
         return np.asarray(np.linalg.eigvals(self.A), dtype=np.complex128)
 
     @property

@@ -45,7 +45,13 @@ class Values(Locked):
 
     @classmethod
     def of(cls, machine: Machine, replaced: Mapping[str, FloatArray] | None = None) -> Values:
-        """Return ``machine`` with numbers ``replaced``, after checking their names and lengths."""
+        """Return ``machine`` with numbers ``replaced``: dotted name -> (count,) SI values.
+
+        Raises
+        ------
+        OptionError
+            If a name is not the name of a number of this machine, or the lengths differ.
+        """
         given = {k: read_only(np.atleast_1d(v), k, ndim=1) for k, v in (replaced or {}).items()}
         known = number_paths(machine) if given else ()
         for path in given:

@@ -134,7 +134,13 @@ class Proved(Answer):
 
     @checked
     def report(self, folder: PathLike) -> Path:
-        """Write the report (HTML, PDF, PNG, SVG) into a folder; return its page."""
+        """Write the report (HTML, PDF, PNG, SVG) into a folder; return the path of its page.
+
+        Raises
+        ------
+        OptionError
+            If ``folder`` is a file.
+        """
         from threadline.report.proof import write_report
         from threadline.search.report_data import report_data
 

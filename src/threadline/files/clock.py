@@ -43,7 +43,7 @@ class Clock:
         return self.period_s.numerator * int(tick) / self.period_s.denominator
 
     def times_s(self, first_tick: int, count: int, stride: int = 1) -> FloatArray:
-        """Return ``count`` instants in s from ``first_tick`` on, one every ``stride`` ticks."""
+        """Return (count,) instants, s, from ``first_tick`` on, one every ``stride`` ticks."""
         ticks = np.arange(first_tick, first_tick + stride * count, stride, dtype=np.float64)
         # One product (exact below 2**53) and one division: no error accumulates.
         return ticks * float(self.period_s.numerator) / float(self.period_s.denominator)
@@ -54,6 +54,11 @@ def common_period_s(periods_s: list[Fraction]) -> Fraction:
 
     >>> common_period_s([Fraction(136, 10**6), Fraction(1, 1000)])
     Fraction(1, 125000)
+
+    Raises
+    ------
+    ValueError
+        If there are no periods.
     """
     if not periods_s:
         raise ValueError("no periods given")

@@ -287,7 +287,7 @@ class Recording:
         return self.samples_of([name])[name]
 
     def samples_of(self, names: Iterable[str]) -> dict[str, tuple[FloatArray, FloatArray]]:
-        """Return times in s and values of whole channels by name, as ``samples`` does.
+        """Return (n,) times, s, and (n,) values of whole channels by name, as ``samples`` does.
 
         The blocks are read only once, because each reading of a simulated recording that is not
         kept in memory simulates it again.

@@ -344,7 +344,7 @@ def _step_play(*values: Any) -> StepPlay:
 
 
 def concatenated_intervals(tables: tuple[StepTable, ...]) -> tuple[IntArray, IntArray]:
-    """Return the intervals of all tables in one array, and the start index of each table.
+    """Return the (n,) intervals of all tables, and the (tables,) start index of each table.
 
     The results are the arguments of ``np.add.reduceat``; a call per table would be slow for
     hundreds of tables.

@@ -42,14 +42,20 @@ TURNS = ("ccw", "cw")
 
 
 def bulge_segment(begin: FloatArray, end: FloatArray, bulge: float, line: int) -> Pieces:
-    """Return the arc with a bulge (tangent of a quarter of its angle); a chord for the bulge 0."""
+    """Return the arc between two points with a bulge; a chord for the bulge 0.
+
+    ``begin`` and ``end`` are (2,) m. The bulge is the tangent of a quarter of the arc's angle,
+    positive counter-clockwise.
+    """
     return bulges(np.array([begin, end]), np.array([bulge]), line)
 
 
 def centre_segment(
     begin: FloatArray, end: FloatArray, centre: FloatArray, turn: str, line: int
 ) -> Pieces:
-    """Return the arc around ``centre``, a full circle where ``begin`` and ``end`` are equal.
+    """Return the arc around ``centre``, a full circle if ``begin`` and ``end`` are equal.
+
+    The points are (2,) m; ``turn`` is ``ccw`` or ``cw``.
 
     Raises
     ------
@@ -76,6 +82,8 @@ def radius_segment(
     begin: FloatArray, end: FloatArray, radius_m: float, turn: str, large: bool, line: int
 ) -> Pieces:
     """Return the arc with ``radius_m``; with ``large`` the arc of more than half a turn.
+
+    ``begin`` and ``end`` are (2,) m; ``turn`` is ``ccw`` or ``cw``.
 
     Raises
     ------
@@ -365,5 +373,5 @@ def _refuse_short(stroke: Stroke, gap_m: float, file: str) -> None:
 
 
 def point_text(point: FloatArray) -> str:
-    """Return a point for a message, in mm."""
+    """Return a (2,) point, m, as text in mm for a message."""
     return f"({point[0] * 1e3:.4g}, {point[1] * 1e3:.4g}) mm"

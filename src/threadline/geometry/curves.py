@@ -299,7 +299,15 @@ def bulges(points: FloatArray, bulge: FloatArray, lines: IntArray | int = 0) -> 
 
 
 def bezier(control: FloatArray, weights: FloatArray | None = None, line: int = 0) -> Pieces:
-    """Return a Bezier curve through (degree + 1, 2) control points, rational with ``weights``."""
+    """Return the Bezier curve with (degree + 1, 2) control points, m.
+
+    With (degree + 1,) ``weights`` the curve is rational.
+
+    Raises
+    ------
+    ValueError
+        If the degree is above ``MAX_DEGREE``.
+    """
     degree = len(control) - 1
     if degree > MAX_DEGREE:
         raise ValueError(f"a curve of degree {degree}, the highest supported is {MAX_DEGREE}")
@@ -334,6 +342,11 @@ def spline(
         Degree of the spline, at most 12.
     weights
         (n,) weights above 0; all 1 by default.
+
+    Raises
+    ------
+    ValueError
+        If the number of knots, the degree, the order of the knots or a weight is wrong.
 
     Notes
     -----

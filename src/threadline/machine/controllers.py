@@ -307,7 +307,7 @@ class StateSpaceController:
         return self
 
     def matrix(self, name: Literal["A", "B", "C", "D", "L"]) -> FloatArray:
-        """Return a matrix as an array, zeros if the file leaves it out."""
+        """Return a matrix as an array (rows, columns); zeros if the file leaves it out."""
         n, axes = len(self.A), len(self.references)
         inputs = axes + len(self.sensors)
         shape = {"A": (n, n), "B": (n, inputs), "C": (axes, n), "D": (axes, inputs), "L": (n, axes)}

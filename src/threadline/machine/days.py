@@ -26,7 +26,7 @@ _RANGES = (FRICTION_OF_DAYS, SUPPLY_OF_DAYS, TENSION_OF_DAYS)
 
 
 def within(ends: tuple[float, float], places: FloatArray) -> FloatArray:
-    """Return factors at places in a range: 0 is its lower end, 1 its upper end."""
+    """Return (k,) factors at (k,) places in a range: 0 is its lower end, 1 its upper end."""
     return ends[0] + places * (ends[1] - ends[0])
 
 

@@ -81,7 +81,10 @@ class LocalRadii:
     cones: tuple[_Cones, ...]
 
     def shares(self, positions: FloatArray, axis: int = -1) -> FloatArray:
-        """Return the shares at ``positions``, same shape; ``axis`` is the axes' dimension."""
+        """Return the shares at ``positions``, m or rad, in an array of the same shape.
+
+        ``axis`` is the dimension of ``positions`` along which the machine's axes are counted.
+        """
         places = np.moveaxis(positions, axis, -1)
         shares = np.ones_like(places)
         for cones in self.cones:
@@ -89,7 +92,7 @@ class LocalRadii:
         return np.ascontiguousarray(np.moveaxis(shares, -1, axis))
 
     def most_between(self, positions: FloatArray) -> FloatArray:
-        """Return the largest shares, (n - 1, axes), on the segments between n ``positions``."""
+        """Return the (n - 1, axes) largest shares on the segments between (n, axes) positions."""
         most = np.ones_like(positions[1:])
         for cones in self.cones:
             places = positions[:, cones.along]

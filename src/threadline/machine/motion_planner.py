@@ -217,7 +217,13 @@ def check_units_of_axes(
     axes: Collection[str],
     rotary: Collection[str],
 ) -> None:
-    """Check values by axis, whose unit is m or rad followed by ``unit``, as ``check_by_axis``."""
+    """Check that values by axis name existing axes, in m or rad followed by ``unit``.
+
+    Raises
+    ------
+    ValueError
+        As for ``check_by_axis``; the message begins with ``key``.
+    """
     check_known(given, axes, key, "axis")
     for name, value in given.items():
         own = f"{'rad' if name in rotary else 'm'}{unit}"

@@ -48,7 +48,7 @@ class Days:
         return len(self.friction)
 
     def taken(self, index: IntArray) -> Days:
-        """Return the runs ``index``."""
+        """Return the runs with the (k,) numbers ``index``."""
         return Days(
             friction=self.friction[index],
             supply=self.supply[index],

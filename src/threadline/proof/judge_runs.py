@@ -235,7 +235,7 @@ class Variants:
         return len(next(iter(self.numbers.values())))
 
     def taken(self, index: IntArray) -> Variants:
-        """Return the machines at ``index``."""
+        """Return the machines with the (k,) numbers ``index``."""
         return Variants(
             numbers={path: values[index] for path, values in self.numbers.items()},
             phases=None if self.phases is None else self.phases[index],

@@ -142,7 +142,7 @@ class WithinTolerances:
         return found
 
     def machine_parts(self, parts: FloatArray) -> FloatArray:
-        """Return the parts of the numbers of the machine, without those of the product."""
+        """Return the (k, n) parts of the machine's numbers, without the parts of the product."""
         return parts[..., : len(self.numbers)]
 
     def judged(self, parts: FloatArray, done: Done | None = None) -> EachRun:

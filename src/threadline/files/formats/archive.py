@@ -64,14 +64,20 @@ class ColumnSpool:
         self._rows[name] = 0
 
     def append(self, name: str, values: NDArray[Any]) -> None:
-        """Add rows to a column."""
+        """Add (n, *width) rows to a column."""
         file, dtype, width = self._columns[name]
         rows = np.ascontiguousarray(values, dtype=dtype).reshape(-1, *width)
         file.write(rows.data)
         self._rows[name] += len(rows)
 
     def pack(self, file: IO[bytes], meta: dict[str, Any]) -> None:
-        """Write the archive: the description first, then every column."""
+        """Write the archive: the description first, then every column.
+
+        Raises
+        ------
+        RecordingError
+            If the description is too large.
+        """
         with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
             text = json.dumps(meta, ensure_ascii=False, indent=1).encode()
             if len(text) > MAX_META_BYTES:
@@ -160,7 +166,13 @@ class ColumnArchive:
             raise self._refuse(f"the file is damaged: the checksum of {wrong[:60]!r} is wrong")
 
     def meta(self) -> Any:
-        """Return the description."""
+        """Return the description.
+
+        Raises
+        ------
+        RecordingError
+            If it is missing, too large or not JSON.
+        """
         try:
             info = self._archive.getinfo(META)
         except KeyError as error:
@@ -174,7 +186,13 @@ class ColumnArchive:
         return parse_json(self._archive.read(info).decode(), Place(str(self._path)))
 
     def column(self, name: str, dtype: str, width: tuple[int, ...] = ()) -> ColumnReader:
-        """Open a column and check its type and the shape of its rows."""
+        """Open a column and check its type and the shape of its rows.
+
+        Raises
+        ------
+        RecordingError
+            If the column is missing, or its type, shape or size is wrong.
+        """
         try:
             info = self._archive.getinfo(f"{name}.npy")
         except KeyError as error:
@@ -220,7 +238,13 @@ class ColumnReader:
         self._left = rows
 
     def take(self, count: int) -> NDArray[Any]:
-        """Return the next ``count`` rows, or all that remain."""
+        """Return the next (count, *width) rows, or all remaining rows if they are fewer.
+
+        Raises
+        ------
+        EOFError
+            If the file ends within the column.
+        """
         count = min(count, self._left)
         size = count * self._dtype.itemsize * int(np.prod(self._width, dtype=np.int64))
         data = self._member.read(size)
@@ -230,6 +254,6 @@ class ColumnReader:
         return np.frombuffer(data, self._dtype).reshape(count, *self._width)
 
     def runs(self, count: int) -> Iterator[NDArray[Any]]:
-        """Yield all remaining rows, ``count`` at a time."""
+        """Yield all remaining rows in arrays (count, *width); the last array may be shorter."""
         while self._left:
             yield self.take(count)

@@ -47,8 +47,20 @@ def _fits(counts: IntArray, begin: int, n: int, phases: IntArray) -> bool:
 def runs(counts: IntArray, marks: IntArray) -> tuple[IntArray, IntArray, IntArray]:
     """Divide rows into runs for one line each; no run extends across a mark.
 
-    A run extends to the next mark if one line can represent it. Otherwise its length is doubled as
-    long as one line can represent it, and then increased by smaller and smaller steps.
+    A run extends to the next mark if one line can represent it. Otherwise it is lengthened by steps
+    that double as long as one line can represent it, and then by smaller and smaller steps.
+
+    Parameters
+    ----------
+    counts
+        (n, axes) counts to travel in each row.
+    marks
+        (m,) increasing numbers of rows, from 0 to n, at which a run must end.
+
+    Returns
+    -------
+    tuple
+        (k,) first row and (k,) number of rows of each run, and (k, axes) phases.
     """
     rows, axes = counts.shape
     begins = np.empty(rows, np.int64)

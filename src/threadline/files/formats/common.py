@@ -283,7 +283,7 @@ def meta_lines(title: str, meta: dict[str, Any]) -> Iterator[str]:
 
 
 def parse_meta_lines(lines: Iterable[tuple[int, str]], path: Path) -> dict[str, Any]:
-    """Return the data that ``meta_lines`` wrote, from the lines after the title."""
+    """Return the data that ``meta_lines`` wrote; raise RecordingError for lines of another form."""
     meta: dict[str, Any] = {}
     for number, line in lines:
         key, colon, value = line.lstrip("# ").partition(":")
@@ -312,7 +312,7 @@ def parse_json(text: str, place: Place) -> Any:
 
 
 def checked_meta(adapter: TypeAdapter[T], meta: Any, path: Path) -> T:
-    """Return ``meta`` as the dataclass of ``adapter``; the error names the wrong key."""
+    """Return ``meta`` as the dataclass of ``adapter``; a RecordingError names a wrong key."""
     try:
         return adapter.validate_python(meta)
     except ValidationError as error:
@@ -326,7 +326,7 @@ def checked_meta(adapter: TypeAdapter[T], meta: Any, path: Path) -> T:
 
 
 def positive_fraction(text: str, place: Place) -> Fraction:
-    """Return ``"1/200"`` as a fraction greater than zero."""
+    """Return a text such as ``"1/200"`` as a fraction; raise RecordingError if it is 0."""
     numerator, _, denominator = text.partition("/")
     if int(numerator) == 0 or int(denominator) == 0:
         raise RecordingError(f"the period {text!r} must be greater than zero", place=place)

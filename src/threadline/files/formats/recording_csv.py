@@ -264,7 +264,13 @@ def _rows(path: Path, head: int, layout: _Layout) -> Iterator[tuple[int, list[fl
 
 
 def parse_number(cell: str, place: Place, *, nan: bool = False) -> float:
-    """Return the number in ``cell``; ``nan`` allows infinity and NaN, as in Threadline's files."""
+    """Return the number in ``cell``; ``nan`` allows infinity and NaN, as in Threadline's files.
+
+    Raises
+    ------
+    RecordingError
+        If the cell is not a number.
+    """
     value: float | None = None
     if cell.isascii() and "_" not in cell:
         with suppress(ValueError):

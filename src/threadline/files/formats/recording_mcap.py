@@ -100,7 +100,13 @@ class TraceWriter:
         self._period_ns = int(period_ns) if period_ns.denominator == 1 else period_ns
 
     def write(self, block: RecordingBlock) -> None:
-        """Write a block."""
+        """Write a block.
+
+        Raises
+        ------
+        RecordingError
+            If the block is too large for one chunk.
+        """
         samples = block.samples
         parts = [np.ascontiguousarray(samples[name], "<f8") for name in self._names]
         head = {

@@ -210,7 +210,13 @@ def event_from(item: Any, place: Place) -> Event:
 
 
 def parse_events_cell(cell: str, tick: int | None, place: Place) -> list[Event]:
-    """Return the events in a cell that ``events_cell`` made; it has ticks if ``tick`` is None."""
+    """Return the events in a cell that ``events_cell`` made; it has ticks if ``tick`` is None.
+
+    Raises
+    ------
+    RecordingError
+        If the cell is not a list of events.
+    """
     if not cell:
         return []
     if not (len(cell) > 1 and cell[0] == cell[-1] == '"'):
@@ -293,7 +299,13 @@ class EventColumns:
         self.left = self._columns["event_tick"].rows
 
     def take(self, count: int) -> list[Event]:
-        """Return the next ``count`` events, or all that remain."""
+        """Return the next ``count`` events, or all remaining events if they are fewer.
+
+        Raises
+        ------
+        RecordingError
+            If an event has an impossible kind, name or tick.
+        """
         count = min(count, self.left)
         self.left -= count
         columns = [self._columns[name].take(count).tolist() for name in _COLUMNS]

@@ -55,7 +55,12 @@ def _clock_names(channels: tuple[Channel, ...]) -> list[str]:
 def write_recording_npz(recording: Recording, path: Path) -> Written:
     """Write ``recording`` as an archive of columns: ``numpy.load(path)["X.load"]`` is (n,).
 
-    Memory is bounded by a block; the columns grow in temporary files beside ``path``.
+    Only one block is in memory; the columns grow in temporary files beside ``path``.
+
+    Raises
+    ------
+    RecordingError
+        If a block has too many samples, or the file cannot be written.
     """
     channels = recording.channels
     names, clocks = _column_names(channels), _clock_names(channels)

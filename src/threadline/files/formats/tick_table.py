@@ -65,7 +65,7 @@ class NeedleRows:
     trim: NDArray[np.bool_]
 
     def changes(self) -> IntArray:
-        """Return the rows at which ``up`` or ``trim`` changes."""
+        """Return the (m,) rows at which ``up`` or ``trim`` changes."""
         changed = (self.up[1:] != self.up[:-1]) | (self.trim[1:] != self.trim[:-1])
         return np.flatnonzero(changed) + 1
 
@@ -208,7 +208,7 @@ def checked_rows(table: TickTable, meta: Any, path: Path) -> TickTable:
 def write_table_npz(table: TickTable, path: Path, needle: NeedleSource | None = None) -> Written:
     """Write ``table`` as an archive of columns: ``numpy.load(path)["counts"]`` is (n, axes).
 
-    Memory is bounded by a block; the columns grow in temporary files beside ``path``.
+    Only one block is in memory; the columns grow in temporary files beside ``path``.
 
     Parameters
     ----------
@@ -313,7 +313,7 @@ def empty_block(axes: int, events: tuple[Event, ...]) -> TickBlock:
 
 
 def checked_counts(counts: IntArray, path: Path) -> IntArray:
-    """Return ``counts``; refuse numbers whose sums could overflow."""
+    """Return ``counts``, (n, axes); refuse numbers whose sums could overflow."""
     if counts.size and (np.abs(counts) > 2**40).any():
         raise RecordingError(
             f"a row travels {int(np.abs(counts).max())} counts in one tick",
