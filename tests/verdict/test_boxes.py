@@ -12,8 +12,16 @@ import pytest
 from threadline.verdict import boxes, turning
 from threadline.verdict.bow import NO_BOWS
 from threadline.verdict.boxes import NO_BOXES, Boxes
-from threadline.verdict.nearest import chord_vectors, nearest_chords
-from threadline.verdict.places import ProgressPart, move_on
+from threadline.verdict.nearest import (
+    Candidates,
+    Closest,
+    Nearest,
+    Track,
+    chord_vectors,
+    chords_of,
+    nearest_chords,
+)
+from threadline.verdict.places import Command, ProgressPart, move_on
 
 AXES, SAMPLES = 3, 400
 EACH = (0,) * AXES
@@ -55,16 +63,16 @@ CLOUDS = pytest.mark.parametrize(
 @CLOUDS
 def test_the_nearest_chords_are_those_of_a_search_through_all_of_them(runs, spread) -> None:
     vertices, _, points = cloud(runs, spread, seed=1)
-    way, length = chord_vectors(vertices)
     begin = np.clip(np.arange(SAMPLES) * 11 // SAMPLES, 1, 11)
     end = np.minimum(begin + np.arange(SAMPLES) % 3, 11)
     squared, chord = np.empty((SAMPLES, runs)), np.full((SAMPLES, runs), -7)
-    only = np.full(SAMPLES, -7)
-    boxes.nearest_in_boxes(points, begin, end, vertices, way, length, EACH, squared, chord, only)
+    common = np.full(SAMPLES, -7)
+    found = Nearest(squared, chord, common)
+    boxes.nearest_in_boxes(points, Candidates(begin, end), chords_of(vertices), EACH, found)
     expected, nearest = nearest_chords(points, begin, end, vertices)
     assert (squared == expected).all()
-    assert (np.where(only[:, None] >= 0, only[:, None], chord) == nearest).all()
-    assert 0.2 < (only >= 0).mean() < 0.8
+    assert (np.where(common[:, None] >= 0, common[:, None], chord) == nearest).all()
+    assert 0.2 < (common >= 0).mean() < 0.8
 
 
 @CLOUDS
@@ -75,9 +83,10 @@ def test_vertices_that_can_be_the_worst_are_as_near_as_the_nearest_segment(runs,
     time_s = np.arange(SAMPLES + 1) * 1e-3
     worst = np.full(runs, spread**2)
     best, at_s = np.full((12, runs), np.inf), np.zeros((12, runs))
+    track = Track(np.concatenate([points[:1], points]), time_s, begin, end, 0)
     boxes.vertices_to_path(
-        points, points[0].copy(), time_s, begin, end, vertices, EACH, np.empty((0, 2)),
-        boxes_of(points), NO_BOWS, worst, best, at_s,
+        track, NO_BOWS, boxes_of(points), vertices, EACH, np.empty((0, 2)), worst,
+        Closest(best, at_s),
     )  # fmt: skip
     for v in range(12):
         there = np.flatnonzero((begin[:-1] - 1 <= v) & (v <= end[1:]))
@@ -104,8 +113,10 @@ def test_the_progress_is_that_of_every_place_of_every_run(runs, spread, at_once)
     found = []
     for known in (True, False):
         part = ProgressPart(
-            command=command, way=way, inverse=1.0 / length,
-            length=np.sqrt((way**2).sum(axis=1)), heading=way, first=0, number=0, lag=LAG,
+            command=Command(
+                command, way, 1.0 / length, length=np.sqrt((way**2).sum(axis=1)), heading=way
+            ),
+            first=0, number=0, lag=LAG,
             places=np.array([0, -1]), value=np.full((LAG + 2, runs), np.inf),
             worst=np.full(runs, -np.inf), at=np.zeros(runs, dtype=np.int64), side=np.zeros(runs),
             ceiling=np.full(1, (way**2).sum(axis=1).max() if known else np.inf),

@@ -14,6 +14,7 @@ from threadline.files import ChannelKind
 from threadline.verdict import Criterion, Status, judge
 from threadline.verdict.bow import NO_BOWS
 from threadline.verdict.boxes import NO_BOXES, vertices_to_path
+from threadline.verdict.nearest import Closest, Track
 
 from .builders import TICK_S, follow, move_s, plan_through, record, spec_of
 
@@ -326,19 +327,20 @@ def test_a_segment_reaches_the_vertices_of_both_its_samples() -> None:
     vertices = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0]])
     best, best_time_s = np.full((3, 1), np.inf), np.zeros((3, 1))
     vertices_to_path(
-        np.array([[[1.0], [1.0]]]),
-        np.array([[0.0], [0.0]]),
-        np.array([2.0, 4.0]),
-        np.array([1, 1]),
-        np.array([1, 2]),
+        Track(
+            points=np.array([[[0.0], [0.0]], [[1.0], [1.0]]]),
+            time_s=np.array([2.0, 4.0]),
+            begin=np.array([1, 1]),
+            end=np.array([1, 2]),
+            first=0,
+        ),
+        NO_BOWS,
+        NO_BOXES,
         vertices,
         (0, 0),
         np.empty((0, 2)),
-        NO_BOXES,
-        NO_BOWS,
         np.full(1, -np.inf),
-        best,
-        best_time_s,
+        Closest(best, best_time_s),
     )
     assert best == pytest.approx([0.0, 0.5, 0.0], abs=1e-15)
     assert best_time_s == pytest.approx([2.0, 3.0, 4.0])

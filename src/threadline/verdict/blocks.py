@@ -41,13 +41,13 @@ _LARGEST = ("voltage", "current", "current_peak", "torque_share")
 # The value of largest magnitude since the previous sample: a second channel of the same kind.
 _PEAK_NAME = "{axis}.current_peak"
 _CHORDS = ("low", "high", "safe", "share")
-FEW = 1024  # samples: a smaller block waits for more, since each block costs every measure a call,
-_OF_RUNS = 1 << 18  # unless the samples of all runs are this many, as in a block of the twin
-COPIED = 60_000  # values of a column
+FEW = 1024  # samples: a smaller block waits for more, because each block costs every measure a call
+_OF_RUNS = 1 << 18  # samples of all runs together that are enough, as in a block of the twin
+COPIED = 60_000  # values of a column up to which joining two blocks costs less than a block
 
 
 def find_first(recording: Recording, kinds: Sequence[ChannelKind], axis: str) -> Channel | None:
-    """Return the channel of ``axis`` of the first of ``kinds`` that the recording has."""
+    """Return the channel of ``axis`` with the first of ``kinds`` that the recording has."""
     for kind in kinds:
         channel = recording.find(kind, axis)
         if channel is not None:
@@ -125,11 +125,11 @@ class _Held:
         return len(self.time_s)
 
     def short_with(self, after: _Held) -> bool:
-        """Return whether copying both into one costs less than measuring one block more."""
+        """Return whether copying both into one costs less than measuring one more block."""
         return sum(max(v.size for v in one.columns.values()) for one in (self, after)) <= COPIED
 
     def joined(self, after: _Held) -> _Held:
-        """Return these samples and those ``after`` them, joined."""
+        """Return these samples, followed by ``after``."""
         held = self.slow is not None or after.slow is not None
         return _Held(
             np.concatenate([self.time_s, after.time_s]),
@@ -312,7 +312,7 @@ def judged_blocks(
     resolution
         (axes,) resolution of the commanded positions: see ``Steady``. None: every change is motion.
     few
-        Samples for which a smaller block waits for more; 1 while a run goes on.
+        A block with fewer samples waits for more; 1 during a live run.
     """
     held = None if resolution is None else Steady(resolution)
     waiting: list[_Held] = []  # samples that were not yielded yet, the oldest first

@@ -1,8 +1,8 @@
 """Bounds for many runs at once, from the box that encloses them at an instant.
 
 Runs of one machine are close together across the path. The corners of their box usually decide
-which chord is nearest to all of them, and which vertex they approach. Where the box cannot decide,
-each run is computed; the results are equal bit for bit.
+which chord is nearest to all of them, and which vertex they approach. If the box cannot decide,
+each run is computed. The results are equal to the bit.
 """
 
 from __future__ import annotations
@@ -11,20 +11,27 @@ from typing import NamedTuple
 
 import numpy as np
 
-from threadline.base.arrays import FloatArray, IntArray
+from threadline.base.arrays import FloatArray
 from threadline.base.compiled import njit
-from threadline.verdict.bow import Bows, beside
-from threadline.verdict.nearest import nearest_of_all
+from threadline.verdict.bow import Bows, Span, deviation
+from threadline.verdict.nearest import (
+    Candidates,
+    Chords,
+    Closest,
+    Nearest,
+    Track,
+    nearest_of_all,
+)
 
 COMPANY = 8
-"""Number of runs above which a box saves more than it costs."""
+"""Number of runs from which on a box saves more than it costs."""
 MORE = 1.0 + 1e-9  # factor on a bound, for rounding in the value that it is compared with
 
 
 class Boxes(NamedTuple):
     """(n + 1, axes) lower corner ``least`` and upper corner ``most`` of all runs.
 
-    Row 0 belongs to the previous sample. ``known`` is False for few runs, which have no boxes.
+    Row 0 belongs to the sample before. ``known`` is False for few runs, which have no boxes.
     ``lows`` and ``highs``, (runs,), are work arrays.
     """
 
@@ -35,7 +42,7 @@ class Boxes(NamedTuple):
     highs: FloatArray
 
 
-_NO_PACE = np.empty((0, 0))
+_NO_TANGENT = np.empty((0, 0))
 NO_BOXES = Boxes(False, np.empty((0, 0)), np.empty((0, 0)), np.empty(0), np.empty(0))
 
 
@@ -44,8 +51,9 @@ def _ends_of(
 ) -> tuple[float, float]:
     """Return the least and the largest of the numbers ``values[i, k]``, at least four of them.
 
-    A plain loop would wait for the previous comparison at each number; folding the row in four,
-    repeatedly, gives vector instructions. ``lows`` and ``highs`` are work arrays for a quarter row.
+    A plain loop would wait for the previous comparison at each number. The row is folded in four,
+    repeatedly, which gives vector instructions. ``lows`` and ``highs`` are work arrays for a
+    quarter of a row.
     """
     count = values.shape[2]
     part = count // 4
@@ -78,7 +86,7 @@ ends_of = njit(nogil=True)(_ends_of)
 
 
 def _enclose(points: FloatArray, boxes: Boxes) -> None:
-    """Fill in the boxes of (n + 1, axes, runs) samples; row 0 is the previous sample."""
+    """Fill in the boxes of (n + 1, axes, runs) samples; row 0 is the sample before."""
     _, lower, upper, lows, highs = boxes  # each tuple access would count references
     for i in range(len(points)):
         for a in range(points.shape[1]):
@@ -92,23 +100,22 @@ def _to_one_chord(
     points: FloatArray,
     i: int,
     c: int,
-    vertices: FloatArray,
-    way: FloatArray,
-    length: FloatArray,
+    chords: Chords,
     axes: tuple[int, ...],
     squared: FloatArray,
 ) -> None:
     """Fill in the squared distance of each run to chord c at sample i."""
+    vertices, vector, length = chords
     for r in range(squared.shape[1]):
         along = 0.0
         for a in range(len(axes)):
-            along += (points[i, a, r] - vertices[c - 1, a]) * way[c, a]
+            along += (points[i, a, r] - vertices[c - 1, a]) * vector[c, a]
         where = along / length[c]
         where = where if where > 0.0 else 0.0
         where = where if where < 1.0 else 1.0
         away = 0.0
         for a in range(len(axes)):
-            gap = points[i, a, r] - vertices[c - 1, a] - where * way[c, a]
+            gap = points[i, a, r] - vertices[c - 1, a] - where * vector[c, a]
             away += gap * gap
         squared[i, r] = away
 
@@ -118,54 +125,44 @@ _to_one_chord_fast = njit(nogil=True)(_to_one_chord)
 
 def _nearest_chords(
     points: FloatArray,
-    begin: IntArray,
-    end: IntArray,
-    vertices: FloatArray,
-    way: FloatArray,
-    length: FloatArray,
+    candidates: Candidates,
+    chords: Chords,
     axes: tuple[int, ...],
-    squared: FloatArray,
-    chord: IntArray,
-    only: IntArray,
+    nearest: Nearest,
 ) -> None:
-    """Fill in the squared distance of each sample to the chords ``begin[i]`` to ``end[i]``.
-
-    ``only`` is the nearest chord of all runs, or -1 if ``chord`` has one for each run.
-    """
+    """Fill in the nearest candidate chord of each of (n, axes, runs) samples."""
+    begin, end = candidates
+    squared, chord, common = nearest
     for i in range(len(points)):
         first, last = begin[i], end[i]
         if last == first:
-            only[i] = first
-            _to_one_chord_fast(points, i, first, vertices, way, length, axes, squared)
+            common[i] = first
+            _to_one_chord_fast(points, i, first, chords, axes, squared)
         else:
-            only[i] = -1
-            nearest_of_all(
-                points[i], first, last, vertices, way, length, axes, None, squared[i], chord[i]
-            )
+            common[i] = -1
+            nearest_of_all(points[i], first, last, chords, axes, None, squared[i], chord[i])
 
 
 nearest_in_boxes = njit(nogil=True)(_nearest_chords)
 
 
 def _approach(
-    point: FloatArray,
-    start: FloatArray,
+    span: Span,
     from_s: float,
     long_s: float,
     vertex: FloatArray,
     axes: tuple[int, ...],
     share: FloatArray | None,
-    out: FloatArray,
-    back: FloatArray,
-    best: FloatArray,
-    best_time_s: FloatArray,
+    closest: Closest,
 ) -> None:
-    """Lower ``best``, (runs,) squared, where the segment ``start`` to ``point`` is nearer.
+    """Lower the closest approach to a vertex, (runs,), where a span comes nearer in a run.
 
-    With the ways ``out`` and ``back`` of its ends, (axes, runs), it is the place beside the
-    segment's nearest one that counts, or its end.
+    The span begins at ``from_s`` and takes ``long_s``. The place nearest on its straight segment
+    counts, moved by the deviation there if the tangents are known, or its end.
     """
-    bowed = len(out) > 0
+    start, point, m0, m1 = span
+    best, best_time_s = closest
+    bowed = len(m0) > 0
     for r in range(len(best)):
         along = 0.0
         size = 0.0
@@ -175,9 +172,9 @@ def _approach(
                 along += (vertex[a] - start[a, r]) * step
                 size += step * step
             else:
-                weighed = share[a] * step
-                along += share[a] * (vertex[a] - start[a, r]) * weighed
-                size += weighed * weighed
+                weighted = share[a] * step
+                along += share[a] * (vertex[a] - start[a, r]) * weighted
+                size += weighted * weighted
         size = size if size > 0.0 else 1.0
         where = along / size
         where = where if where > 0.0 else 0.0
@@ -186,7 +183,7 @@ def _approach(
         for a in range(len(axes)):
             gap = vertex[a] - start[a, r] - where * (point[a, r] - start[a, r])
             if bowed:
-                gap -= beside(where, point[a, r] - start[a, r], out[a, r], back[a, r])
+                gap -= deviation(where, point[a, r] - start[a, r], m0[a, r], m1[a, r])
             if share is not None:
                 gap *= share[a]
             away += gap * gap
@@ -208,38 +205,34 @@ _approach_fast = njit(nogil=True)(_approach)
 
 
 def _vertices_to_path(
-    points: FloatArray,
-    before: FloatArray,
-    time_s: FloatArray,
-    begin: IntArray,
-    end: IntArray,
+    track: Track,
+    bows: Bows,
+    boxes: Boxes,
     vertices: FloatArray,
     axes: tuple[int, ...],
     share: FloatArray,
-    boxes: Boxes,
-    bows: Bows,
     worst: FloatArray,
-    best: FloatArray,
-    best_time_s: FloatArray,
+    closest: Closest,
 ) -> None:
-    """Lower ``best``, (vertices, runs) squared, where a segment of a run's path is nearer.
+    """Lower the closest approaches to (m, axes) vertices, where a span of a run comes nearer.
 
-    Segment i leads to point i, the first one from ``before``; it counts for the vertices of the
-    chords ``begin[i]`` to ``end[i + 1]``. ``begin``, ``end`` and ``time_s`` have one more entry
-    than the points, for the point before. ``share``, (vertices, axes), weighs the axes; empty
-    means equal weights.
+    Span i leads from row i of the track to row i + 1; it counts for the vertices of the chords
+    ``begin[i]`` to ``end[i + 1]``. ``share``, (vertices, axes), weighs the axes; empty means equal
+    weights.
 
     A vertex is skipped if every run already passes it as closely as ``worst``, (runs,) squared, or
-    if another segment comes nearer to it in every run.
+    if another span comes nearer to it in every run.
     """
-    samples = len(points)
+    points, time_s, begin, end, _ = track
+    best, best_time_s = closest
+    samples = len(points) - 1
     low, high = vertices.shape[0], -1
     for i in range(samples):
         low, high = min(low, begin[i] - 1), max(high, end[i + 1])
     known, lower, upper, lows, highs = boxes
-    bowed, pace, most = bows
-    weighed = len(share) > 0
-    boxed = known and not weighed
+    bowed, tangents, most = bows
+    weighted = len(share) > 0
+    boxed = known and not weighted
     near, bow = np.zeros(samples), np.zeros(samples)
     if bowed and boxed:
         for i in range(samples):
@@ -269,19 +262,14 @@ def _vertices_to_path(
         for i in range(samples):
             if not (begin[i] - 1 <= v <= end[i + 1] and near[i] <= limit):
                 continue
-            start = before if i == 0 else points[i - 1]
             from_s, long_s = time_s[i], time_s[i + 1] - time_s[i]
-            out, back = (pace[i], pace[i + 1]) if bowed else (_NO_PACE, _NO_PACE)
-            if weighed:
-                _approach_fast(
-                    points[i], start, from_s, long_s, vertices[v], axes, share[v], out, back,
-                    best[v], best_time_s[v],
-                )  # fmt: skip
+            m0, m1 = (tangents[i], tangents[i + 1]) if bowed else (_NO_TANGENT, _NO_TANGENT)
+            span = Span(points[i], points[i + 1], m0, m1)
+            own = Closest(best[v], best_time_s[v])
+            if weighted:
+                _approach_fast(span, from_s, long_s, vertices[v], axes, share[v], own)
             else:
-                _approach_fast(
-                    points[i], start, from_s, long_s, vertices[v], axes, None, out, back,
-                    best[v], best_time_s[v],
-                )  # fmt: skip
+                _approach_fast(span, from_s, long_s, vertices[v], axes, None, own)
 
 
 vertices_to_path = njit(nogil=True)(_vertices_to_path)

@@ -160,8 +160,8 @@ class _Rows:
 def with_passes(results: Sequence[Result], job: Job) -> Iterator[Result]:
     """Yield ``results`` with the passes of their line; read the job only as far as needed.
 
-    A place may be on a chord of the operation before or after the current one; the line tells
-    which.
+    The place of a result may lie on a chord of the previous or the next operation: the job line of
+    the result decides.
     """
     wanted = {
         operation + step

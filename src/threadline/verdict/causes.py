@@ -1,10 +1,10 @@
 """Which factor a gap points to: the programmed winding with one factor changed at a time.
 
-At the middle of the widest place the bands that go from left to right lie beside each other. Their
-distances, and how far the fibre reaches on both sides, are found again with each factor changed by
-its tolerance. A wider band and another radius change all gaps alike. A turn that is wrong by a
-share, by the steps per degree or by slip, adds up over the circuits and leaves one gap or overlap.
-A zero that is off moves the whole winding to one side.
+In the middle of the widest part of the mandrel, the bands that run from left to right lie side by
+side. Their distances, and the ends of the winding, are computed again with each factor changed by
+its tolerance. A wider band or another radius changes all gaps alike. A relative error of the turn,
+from the steps per degree or from slip, adds up over the circuits and leaves one gap or overlap. An
+error of the zero moves the whole winding to one side.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ from threadline.verdict.replayed import WoundJob, programmed_fibre, wound_job
 from threadline.winding.product_reader import Toleranced
 
 _ALIKE = 0.25  # of the band: gaps that differ by less are alike
-_SMALL = 0.05  # of the band: a gap below this, a cell of the raster, is none
+_SMALL = 0.05  # of the band: a smaller gap, a cell of the raster, does not count
 _LEAST_M, _LEAST_SHARE = 1e-4, 1e-4  # changes of numbers without a tolerance
-_MOST = 100.0  # changes by which a factor may be off to explain a gap
+_MOST = 100.0  # largest multiple of its change with which a factor may explain a gap
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -37,7 +37,7 @@ class Laid:
     pitch_m
         Mean distance between the middles of neighbouring bands.
     ends_m
-        Places along the axis at which the fibre turns back on the left and on the right.
+        Positions along the axis at which the fibre turns back, left and right.
     """
 
     gaps_m: FloatArray
@@ -64,13 +64,14 @@ class Cause:
     name
         The factor, in words.
     by
-        Its change: its tolerance, else a small one. In m, or as a share of the turn.
+        Its change: its tolerance, or a small change if it has none. In m, or as a share of the
+        turn.
     toleranced
         Whether ``by`` is its tolerance.
     mean_m, largest_m
-        Change of the mean gap and of the largest one.
+        Change of the mean gap and of the largest gap.
     left_m, right_m
-        Change of the places where the fibre turns back.
+        Change of the positions at which the fibre turns back.
     """
 
     name: str
@@ -83,7 +84,7 @@ class Cause:
     of_turn: bool = False
 
     def shown(self, times: float = 1.0) -> str:
-        """Return its change, or several times that, in words."""
+        """Return its change, ``times`` as large, in words."""
         value = times * self.by
         return f"{1e2 * value:+.2g} % of the turn" if self.of_turn else f"{1e3 * value:+.2g} mm"
 
@@ -131,7 +132,7 @@ class Causes:
         )
 
     def rows(self) -> list[list[str]]:
-        """Return a row for each factor: its change, the effect, and an explanation of the gap."""
+        """Return a row for each factor: its change, the effect, and the change that explains it."""
         return [
             [
                 cause.name,
@@ -145,7 +146,7 @@ class Causes:
         ]
 
     def lines(self) -> list[str]:
-        """Return the same as lines of text."""
+        """Return ``words`` and ``rows`` as lines of text."""
         text = [f"Gaps between bands:   {self.words()}"]
         for name, by, mean, largest, ends, explains in self.rows():
             text.append(
@@ -162,9 +163,9 @@ class Causes:
         return cause.shown(times) + of
 
     def needed(self, cause: Cause) -> float | None:
-        """Return how many times its change a factor is off if it alone made the largest gap.
+        """Return the multiple of its change with which a factor alone explains the largest gap.
 
-        None if there is no gap, or if it needed more than ``_MOST`` times the change.
+        None if there is no gap, or if more than ``_MOST`` times the change were needed.
         """
         largest = self.laid.largest_m
         if largest <= _SMALL * self.width_m or _MOST * abs(cause.largest_m) < largest:

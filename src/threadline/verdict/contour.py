@@ -12,6 +12,7 @@ from threadline.base.compiled import njit
 from threadline.verdict.bow import NO_VELOCITY, bows
 from threadline.verdict.finding import Finding, RunFindings, Worst, sure_of
 from threadline.verdict.measure import Measure, SweptMeasure
+from threadline.verdict.nearest import Closest, Farthest, Nearest
 from threadline.verdict.samples import Block, Setting, lanes
 from threadline.verdict.window import PathWindow
 
@@ -19,7 +20,7 @@ _UNREACHED = "the recording ends before this point"
 _EMPTY = "the recording is empty"
 _UNKNOWN = np.empty((0, 0, 0))
 _NOTHING_M = 1e-9
-"""A move no longer than this has no sample of its own, and no piece of a planned path."""
+"""Length up to which a move has no sample of its own, and no piece of a planned path."""
 
 POINT_MISSED = "programmed point missed"
 """Note of a deviation that was measured at a programmed point."""
@@ -28,13 +29,11 @@ POINT_MISSED = "programmed point missed"
 class ContourPart(NamedTuple):
     """Arrays that a sweep over a block reads and updates for the contour error.
 
-    ``point``, (axes, runs), and ``chord``, (runs,), belong to the sample before the block, after
-    the previous sweep; ``fresh`` says that there is none. ``begin``, ``end`` and ``time_s`` have
-    one more entry than the block, for that sample. ``speed``, (n, axes, runs), are velocities,
-    empty if unknown, ``reach``, (axes,), is what makes ``Bows.pace`` of them, and ``off``, (runs,)
-    squared, and ``pace`` belong to that sample. ``worst``, (runs,) squared, is raised to the
-    largest distance on the segments that lead to the samples; its place is sample ``at``, ``part``
-    of the segment, and the chord ``nearest``. ``best`` and ``best_time_s`` are (vertices, runs).
+    ``begin``, ``end`` and ``time_s``, (n + 1,), are the candidate chords and the instants of the
+    samples; row 0 is the sample before the block. ``point``, (axes, runs), ``chord``, (runs,),
+    ``off``, (runs,) squared, and ``tangent``, (axes, runs), belong to that sample; the sweep leaves
+    the last sample's in them. ``fresh`` says that there is no such sample. ``velocity``,
+    (n, axes, runs), is empty if unknown, and ``scale``, (axes,), makes Hermite tangents of it.
     """
 
     begin: IntArray
@@ -43,33 +42,21 @@ class ContourPart(NamedTuple):
     point: FloatArray
     chord: IntArray
     fresh: bool
-    worst: FloatArray
-    at: IntArray
-    part: FloatArray
-    nearest: IntArray
-    best: FloatArray
-    best_time_s: FloatArray
-    speed: FloatArray
-    reach: FloatArray
+    farthest: Farthest
+    closest: Closest
+    velocity: FloatArray
+    scale: FloatArray
     off: FloatArray
-    pace: FloatArray
+    tangent: FloatArray
 
 
-def _raise(
-    squared: FloatArray,
-    chord: IntArray,
-    only: IntArray,
-    low: int,
-    worst: FloatArray,
-    at: IntArray,
-    part: FloatArray,
-    nearest: IntArray,
-) -> None:
-    """Raise the worst to the (n, runs) squared distances of samples, the first of them ``low``.
+def _raise(nearest: Nearest, low: int, farthest: Farthest) -> None:
+    """Raise the farthest places to (n, runs) samples, the first of them ``low``.
 
-    The first of equal values stays. ``only`` is the nearest chord of all runs of a sample, or -1
-    if ``chord`` has one for each run.
+    The first of equal values stays.
     """
+    squared, chord, common = nearest
+    worst, at, part, worst_chord = farthest
     samples, runs = squared.shape
     for i in range(samples):
         larger = 0
@@ -79,24 +66,23 @@ def _raise(
             for r in range(runs):
                 if squared[i, r] > worst[r]:
                     worst[r], at[r], part[r] = squared[i, r], low + i, 1.0
-                    nearest[r] = only[i] if only[i] >= 0 else chord[i, r]
+                    worst_chord[r] = common[i] if common[i] >= 0 else chord[i, r]
 
 
 raise_to_samples = njit(nogil=True)(_raise)
 
 
 class _Left(NamedTuple):
-    """Vertices behind all later samples, and each run's closest approach to them."""
+    """Vertices behind the window of all later samples, and each run's closest approach to them."""
 
-    best: FloatArray
-    best_time_s: FloatArray
+    closest: Closest
     vertices: FloatArray
     operation: IntArray
     line: IntArray
 
 
 class Contour(SweptMeasure):
-    """Both directions at once: path to chords, and programmed vertices to path.
+    """The larger of two distances: actual path to chords, and programmed vertices to actual path.
 
     Lengths are at the tool, Euclidean over all axes, rotary ones times their radius (on a profiled
     mandrel the radius at the tool or vertex). A sample is compared with the chords and vertices
@@ -104,15 +90,15 @@ class Contour(SweptMeasure):
     itself without hiding an error, and trailing along the path by less than the lag costs nothing.
     A machine that trails by more is charged for it.
 
-    The actual path is measured between samples, too. It bows there as the velocities of the loads
-    say (``bow``); without velocities it is taken as straight.
+    The actual path is also measured between samples: there it is a cubic Hermite interpolant
+    (``bow``). Without velocities it is taken as straight.
 
     Parameters
     ----------
     interval_s
         Time between samples if each has velocities, else 0.
     coarse
-        Whether samples are further apart than ticks: only they are sure to be on the way.
+        Whether samples are further apart than ticks: then only the samples themselves are certain.
     """
 
     def __init__(
@@ -125,14 +111,14 @@ class Contour(SweptMeasure):
     ) -> None:
         self._radius_m, self._runs = radius_m, runs
         self._coarse, self._sure = coarse, np.zeros(runs)
-        self._reach = interval_s * radius_m
+        self._scale = interval_s * radius_m
         self._off: FloatArray = np.zeros(runs)  # m^2, of the last sample
-        self._pace: FloatArray = np.zeros((len(radius_m), runs))
-        self._lost = False  # whether velocities end before the places do
+        self._tangent: FloatArray = np.zeros((len(radius_m), runs))
+        self._incomplete = False  # whether velocities end before positions do
         self._worst = Worst(runs, len(radius_m), note=_EMPTY)
         self._squared: FloatArray = np.full(runs, -np.inf)  # m^2, from samples to chords
         self._path: PathWindow | None = None
-        # Vertices whose nearest approach is still open, as in the last block's window.
+        # Vertices that a later sample may still approach, as in the last block's window.
         self._first = 0
         self._vertices: FloatArray = np.empty((0, len(radius_m)))
         self._operation: IntArray = np.empty(0, dtype=np.int64)
@@ -146,7 +132,7 @@ class Contour(SweptMeasure):
         self._time_s = 0.0
         self._part: ContourPart | None = None
         self._left: _Left | None = None
-        # The vertex that the last operation does not lead to yet, though its chord does.
+        # The end of the last operation's chord, if later moves on the same chord lead to it.
         self._on_its_way: int | None = None
 
     def part(self, block: Block) -> ContourPart:
@@ -170,16 +156,17 @@ class Contour(SweptMeasure):
             point=self._point,
             chord=self._chord,
             fresh=fresh,
-            worst=self._squared,
-            at=np.zeros(self._runs, dtype=np.int64),
-            part=np.ones(self._runs),
-            nearest=np.zeros(self._runs, dtype=np.int64),
-            best=self._best,
-            best_time_s=self._best_time_s,
-            speed=self._speed(block),
-            reach=self._reach,
+            farthest=Farthest(
+                squared=self._squared,
+                at=np.zeros(self._runs, dtype=np.int64),
+                part=np.ones(self._runs),
+                chord=np.zeros(self._runs, dtype=np.int64),
+            ),
+            closest=Closest(self._best, self._best_time_s),
+            velocity=self._velocity(block),
+            scale=self._scale,
             off=self._off,
-            pace=self._pace,
+            tangent=self._tangent,
         )
         return self._part
 
@@ -191,13 +178,13 @@ class Contour(SweptMeasure):
         if self._coarse:
             self._sure = np.maximum(self._sure, np.sqrt(block.nearest[0].max(axis=0)))
         if self._worst.is_beaten(distance_m):
-            at, part, time_s = found.at, found.part, found.time_s
+            (_, at, part, chord), time_s = found.farthest, found.time_s
             sample = np.maximum(np.where(part <= 0.5, at - 1, at), 0)
             self._worst.offer(
                 distance_m,
                 time_s=time_s[at] + part * (time_s[at + 1] - time_s[at]),
                 operation=block.operations_at(sample),
-                line=path.lines_at(found.nearest, block.at_tool[at].diagonal(axis1=0, axis2=2).T),
+                line=path.lines_at(chord, block.at_tool[at].diagonal(axis1=0, axis2=2).T),
                 position=block.positions_at(sample),
             )
         self._settle(self._left)
@@ -208,8 +195,8 @@ class Contour(SweptMeasure):
             self._on_its_way = int(block.end[-1])
 
     def finish(self) -> Sequence[RunFindings]:
-        """Return the worst sample and the worst programmed point that the run came to."""
-        if self._lost:
+        """Return the worst place of the path and the worst programmed point of every run."""
+        if self._incomplete:
             return [RunFindings.alike(Finding(value=None, note=NO_VELOCITY), self._runs)]
         seen = self._worst.copy()
         if self._path is not None:
@@ -238,13 +225,14 @@ class Contour(SweptMeasure):
         found = self._worst.found(seen)
         return [sure_of(found, self._sure, unless=_UNREACHED) if self._coarse else found]
 
-    def _speed(self, block: Block) -> FloatArray:
+    def _velocity(self, block: Block) -> FloatArray:
         """Return the (n, axes, runs) velocities of a block; empty if they are unknown."""
-        if block.velocity is None or not self._reach.any():
+        if block.velocity is None or not self._scale.any():
             return _UNKNOWN
-        speed = lanes(block.velocity)
-        self._lost = self._lost or not np.isfinite(speed[-1]).all()  # none after the last one
-        return speed
+        velocity = lanes(block.velocity)
+        # After the last velocity, all are NaN.
+        self._incomplete = self._incomplete or not np.isfinite(velocity[-1]).all()
+        return velocity
 
     def _hold(self, path: PathWindow) -> None:
         """Take over the window; its new vertices have not been approached yet."""
@@ -259,8 +247,7 @@ class Contour(SweptMeasure):
         """Put the first ``count`` vertices aside."""
         count = max(min(count, len(self._best)), 0)  # a recording may begin in the middle
         left = _Left(
-            self._best[:count],
-            self._best_time_s[:count],
+            Closest(self._best[:count], self._best_time_s[:count]),
             self._vertices[:count],
             self._operation[:count],
             self._line[:count],
@@ -272,12 +259,13 @@ class Contour(SweptMeasure):
 
     def _settle(self, left: _Left, note: str = POINT_MISSED) -> None:
         """Judge vertices that no later sample can come nearer to."""
-        if not len(left.best):
+        best, time_s = left.closest
+        if not len(best):
             return
-        at, runs = np.argmax(left.best, axis=0), np.arange(self._runs)
+        at, runs = np.argmax(best, axis=0), np.arange(self._runs)
         self._worst.offer(
-            np.sqrt(left.best[at, runs]),
-            time_s=left.best_time_s[at, runs],
+            np.sqrt(best[at, runs]),
+            time_s=time_s[at, runs],
             operation=left.operation[at],
             line=left.line[at],
             position=left.vertices[at] / self._radius_m,
@@ -288,8 +276,8 @@ class Contour(SweptMeasure):
 def _from_rest(chord: int, path: PathWindow) -> int:
     """Return the first of the zero-length chords before ``chord``.
 
-    A job may begin with a move to where the machine already is, up to a rounding of a drawing: it
-    takes no time and has no sample.
+    A job may begin with a move to where the machine already is, up to the rounding of a drawing.
+    Such a move takes no time and has no sample.
     """
     while (
         chord > 1

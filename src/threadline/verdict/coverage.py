@@ -30,7 +30,7 @@ class _Seen:
 class Lack:
     """The missing samples of a channel.
 
-    ``why`` says it in words. ``early``: only the end is missing, without a gap before it.
+    ``why`` names them in words. ``early``: only the end is missing, without a gap before it.
     """
 
     why: str
@@ -86,9 +86,9 @@ class Coverage:
     def lack(self, channels: Iterable[Channel], begin_s: float, end_s: float) -> Lack | None:
         """Return the missing samples of the channels between two instants; None if there are none.
 
-        A gap anywhere counts. So does a whole sample missing at the start or end, even if only
-        compared with a longer channel. If several channels lack samples, the lack that leaves least
-        of the run to judge is returned. Call it after the recording has been read to its end.
+        A gap anywhere counts. So does one missing sample at the start or end, also in comparison
+        with a longer channel. If several channels lack samples, the lack that leaves least of the
+        run to judge is returned. Call it after the recording has been read to its end.
         """
         channels = list(channels)
         span = tuple(channel.name for channel in channels), begin_s, end_s
@@ -211,7 +211,7 @@ class EventReader:
 
 
 class _Cut:
-    """Watches a limit switch until it cuts the supply of its drive, in the first run that hits."""
+    """Watches a limit switch until it cuts the supply of its drive, in the first run to hit it."""
 
     def __init__(self, channel: Channel, recording: Recording, machine: Machine) -> None:
         self._channel, self._runs = channel, recording.runs
@@ -381,11 +381,11 @@ def effects_in(results: Sequence[Result], machine: Machine) -> list[Disturbance]
 def with_event_readers(
     recordings: Sequence[Recording], machine: Machine
 ) -> list[tuple[Recording, EventReader]]:
-    """Return each recording, its blocks read through an ``EventReader``, and that reader."""
+    """Return each recording, and the ``EventReader`` through which its blocks are read."""
     found = []
     for recording in recordings:
-        listener = EventReader(recording, machine)
-        found.append((replace(recording, blocks=listener), listener))
+        reader = EventReader(recording, machine)
+        found.append((replace(recording, blocks=reader), reader))
     return found
 
 
@@ -410,7 +410,7 @@ def not_beyond(
     why
         How the run ended; empty if it was complete.
     stopped_s
-        Start of a requested stop: the effect of the stop itself on the work fails nothing.
+        Start of a requested stop: an error that the stop itself causes does not fail a criterion.
     of_worst
         Whether the measure is the worst of all samples. Other measures need the whole run.
     """

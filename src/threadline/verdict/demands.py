@@ -128,7 +128,7 @@ _BY_WHAT_MOVES: Mapping[str, Always] = {
 
 
 def always_of(machine: Machine) -> Always:
-    """Return the criteria of a machine that hold whatever its specification says."""
+    """Return the criteria that every verdict on a machine lists, whatever its specification."""
     always = _BY_WHAT_MOVES[next(iter(machine.moving.values()))]
     braking = any(axis.deceleration is not None for axis in machine.axes.values())
     own = (*(BRAKING,) * braking, *(PATH_USE,) * (machine.path is not None))
@@ -138,8 +138,8 @@ def always_of(machine: Machine) -> Always:
 def measure_path_use(plan: Plan) -> dict[str, list[Finding]]:
     """Return the largest used share of the limits along the path, sampled densely.
 
-    The finding names the limit. A step of the speed between two pieces of a historical plan is not
-    counted.
+    The finding names the limit. A speed step between two pieces of a historical plan does not
+    count.
     """
     from threadline.motion.timing.optimal.along_path import path_use
     from threadline.motion.timing.optimal.motion_limits import along_of
@@ -166,8 +166,8 @@ NEEDLE_USE = "needle_use"
 def with_needle(spec: Spec, job: Job) -> Spec:
     """Return the specification with the needle limit of a seam that sets one.
 
-    The limit comes from the seam file, as axis limits come from the machine: a specification may
-    lower it, but does not raise it.
+    The limit comes from the seam file, as axis limits come from the machine: a specification can
+    lower it, but not raise it.
     """
     if not np.isfinite(job.along_m_s2):
         return spec
@@ -206,7 +206,7 @@ def measure_needle_use(plan: Plan) -> dict[str, list[Finding]]:
 
 
 def _shares(run: Stitches, before: tuple[float, float]) -> tuple[FloatArray, tuple[float, float]]:
-    """Return (n,) shares of the limit used in each turn, NaN without one, and the last turn."""
+    """Return (n,) used shares of the limit, NaN without one, and ``before`` of the next turn."""
     hz, half_s = 1.0 / run.period_s, 0.5 * run.period_s
     came_hz = np.append(before[0], hz[:-1])
     came_s = np.append(before[1], half_s[:-1])
@@ -280,7 +280,7 @@ _PUSH = _ORDERS["acceleration"]
 _BELOW = (0, 1, 2)
 """Derivative orders below a demand that may step."""
 _ROUNDED = 1e-12
-"""Relative margin on a bound, which is rounded otherwise than the value that it bounds."""
+"""Relative margin on a bound: its rounding differs from the rounding of the bounded value."""
 VELOCITY_STEPS = "the velocity steps"
 """Start of the note of an acceleration that is finite only because it is spread over a tick."""
 _DEMANDS_STEPPED = ("the position steps", VELOCITY_STEPS, "the acceleration steps")
@@ -291,10 +291,10 @@ def measure_demands(plan: Plan) -> dict[str, list[Finding]]:
 
     ``travel`` is the distance beyond the travel of the axis, or the whole range beyond the stroke,
     negative while room is left; endless axes have none. ``velocity``, ``acceleration`` and ``jerk``
-    are absolute values, in the axis' units. If a derivative steps between two pieces, the ones
-    above it are infinite in theory. The controller sees the step spread over one tick of its clock,
-    and so it is counted: a velocity step is an acceleration for one tick, which in turn steps and
-    is a jerk. For an axis with a braking limit, ``acceleration`` counts speeding up only.
+    are absolute values, in the axis' units. If a derivative steps between two pieces, the higher
+    derivatives are infinite in theory. The controller spreads the step over one tick of its clock,
+    so a velocity step counts as an acceleration for one tick, and the steps of this acceleration as
+    a jerk. For an axis with a braking limit, ``acceleration`` counts speeding up only.
     """
     axes = plan.motion.trajectory.axes
     tick_s = float(plan.machine.tick_clock.period_s)
@@ -347,12 +347,12 @@ def _place(
 
 
 def _step(poly: FloatArray, before: float | None) -> tuple[float, int, float]:
-    """Return the largest step into a piece of (order, n) polynomials, its index, and the last end.
+    """Return the largest step between (order, n) pieces, the piece after it, and the last value.
 
     Parameters
     ----------
     before
-        The end before the first piece; None if there is none.
+        The value at the end of the piece before; None without such a piece.
     """
     starts, ends = poly[0], poly.sum(axis=0)
     steps = np.abs(starts[1:] - ends[:-1])
@@ -379,7 +379,7 @@ class _Demand:
             self._set(found[0], _place(block, found[1], found[2]), "")
 
     def take_towards(self, block: TrajectoryBlock, velocity: FloatArray, push: FloatArray) -> None:
-        """Compare the (order, n) accelerations of a block where they speed the axis up."""
+        """Compare the (order, n) accelerations ``push`` of a block where they speed the axis up."""
         toward, piece, begin, width = in_direction(velocity, push)
         found = highest(toward, self._value)
         if found is not None:
@@ -409,13 +409,16 @@ class _Demand:
 
 
 class _Reach:
-    """Range of one axis beyond its travel, on either side, or beyond its stroke in all."""
+    """How far one axis goes beyond its travel, or its whole range beyond its stroke."""
 
     def __init__(self, axis: str, limits: FloatArray, stroke: Quantity | None) -> None:
         self._axis = axis
         self._low, self._high = float(limits[0]), float(limits[1])
         self._stroke = np.inf if stroke is None else float(stroke.si)
-        self._ends = {1.0: -np.inf, -1.0: -np.inf}  # greatest position, and least one negated
+        self._ends = {
+            1.0: -np.inf,
+            -1.0: -np.inf,
+        }  # largest position, and smallest position negated
         self._value = -np.inf
         self.worst = Finding(value=None, axis=axis, note="the trajectory is empty")
 

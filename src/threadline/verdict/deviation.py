@@ -15,7 +15,7 @@ from threadline.verdict.samples import Block
 from threadline.verdict.sweep import feed
 from threadline.verdict.window import PathWindow
 
-PER_PIECE = 16  # points on a curved piece: the chord error is at most 1/256 of the piece's bow
+PER_PIECE = 16  # points on a curved piece: the chord error is at most 1/256 of its sagitta
 CHORD_ERROR_M = 1e-9
 """Chord error below which a piece of a motion needs no more points."""
 _SMOOTHED = 4  # neighbouring chords on either side that smoothing in time may reach
@@ -61,9 +61,9 @@ def measure_shaping_deviation(plan: Plan) -> list[Finding]:
 def measure_motion_deviation(plan: Plan, curved: int = PER_PIECE) -> list[Finding]:
     """Return the deviation of the intended motion from the programmed path, smoothing included.
 
-    If the loads follow, the intended motion is theirs. At most ``curved`` points are taken on a
-    piece, and no more than a chord error of ``CHORD_ERROR_M`` needs: a motion of an hour has
-    millions of pieces, most of them nearly straight.
+    If the loads follow the motion, it is the motion of the loads. At most ``curved`` points are
+    taken on a piece, and no more than a chord error of ``CHORD_ERROR_M`` needs: a motion of an hour
+    has millions of pieces, most of them nearly straight.
     """
     contour = Contour(plan.motion.programmed.radius_m)
     machine, axes = plan.machine, plan.motion.trajectory.axes
@@ -81,7 +81,7 @@ def measure_motion_deviation(plan: Plan, curved: int = PER_PIECE) -> list[Findin
 def _blocks(
     pieces: Iterator[tuple[FloatArray, IntArray]], path: PathWindow, beside: int
 ) -> Iterator[Block]:
-    """Yield points with the chord of their operation, and ``beside`` more on either side."""
+    """Yield points with the chord of their operation, and ``beside`` chords on either side."""
     previous: int | None = None
     for points, operation in pieces:
         path.reach(int(operation[-1]) + beside)
@@ -126,12 +126,13 @@ def _few_points(
     """Return (n, axes) points of the pieces and (n,) their operations.
 
     A point where two pieces of an operation meet is taken once. The second derivative of a
-    polynomial sum c_k u^k on [0, 1] is at most sum k (k - 1) |c_k|; an eighth of it bounds the bow.
+    polynomial sum c_k u^k on [0, 1] is at most sum k (k - 1) |c_k|; an eighth of it bounds the
+    sagitta.
     """
     powers = np.arange(coefficients.shape[1])
     bend = np.abs(coefficients * radius) * (powers * (powers - 1.0))[:, None]
-    bow = np.sqrt((bend.sum(axis=1) ** 2).sum(axis=1)) / 8.0
-    wanted = np.sqrt(bow / CHORD_ERROR_M)
+    sagitta = np.sqrt((bend.sum(axis=1) ** 2).sum(axis=1)) / 8.0
+    wanted = np.sqrt(sagitta / CHORD_ERROR_M)
     count = np.minimum(2 ** np.ceil(np.log2(np.maximum(wanted, 1.0))), curved).astype(np.int64)
     begins = np.append(True, operation[1:] != operation[:-1])
     behind = np.cumsum(count + begins)

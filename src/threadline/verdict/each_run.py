@@ -20,7 +20,7 @@ from threadline.verdict.types import Criterion, Result, Status, Verdict, is_meas
 
 _WITHIN = "a machine within the tolerances"
 _EXCUSED = ("acceleration", BRAKING, "jerk", PATH_USE)
-_PLACED = 2  # the worst of all machines, and the next one where the worst is judged by itself
+_PLACED = 2  # worst runs whose place is kept: the worst machine may be judged separately
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -38,8 +38,8 @@ class CriterionRow:
     of_plan
         Whether it is measured on the plan alone, and so equal in every run.
     places
-        The finding, with time, operation and note, of each run among the worst of the runs that
-        were measured together, by the index of the run.
+        By the index of the run: finding, with time, operation and note, of the worst of the runs
+        that were measured together.
     """
 
     name: str
@@ -76,8 +76,8 @@ class CriterionRow:
     def worst(self) -> tuple[float, Finding] | None:
         """Return the largest value that was measured, with its finding; None if there is none.
 
-        The finding has no place where the place is not known. Of runs with equal values, the first
-        one whose place is known counts.
+        Of runs with equal values, the first with a known place counts. If no place is known, the
+        finding has none.
         """
         known = [is_measured(value, self.unit) for value in self.values.tolist()]
         if not any(known):
@@ -94,7 +94,7 @@ class CriterionRow:
 
     @property
     def text(self) -> str:
-        """Its name, for people."""
+        """Name, axis and step in words."""
         return " ".join(filter(None, (self.name, self.axis, self.step)))
 
 
@@ -167,8 +167,8 @@ class EachRun:
                 rows.append(row.taken(np.zeros(1, dtype=np.int64)))
             else:
                 failed = np.array([row.limit is not None])
-                lost = replace(row, values=np.array([np.inf]), failed=failed, places={})
-                rows.append(lost)
+                infinite = np.array([np.inf])
+                rows.append(replace(row, values=infinite, failed=failed, places={}))
         return EachRun(rows=tuple(rows), runs=1)
 
     def taken(self, index: IntArray) -> EachRun:
@@ -308,8 +308,8 @@ def worst_of(
 def with_other_machines(verdict: Verdict, others: EachRun, text: str = _WITHIN) -> Verdict:
     """Return ``verdict`` with every result replaced by the worst of other machines, if it is worse.
 
-    Such a result has the place where the worst machine had this value; the line is left to
-    ``with_lines``. A machine that could not be simulated is left out.
+    Such a result takes time, operation and position from the worst machine; ``with_lines`` adds the
+    job line. A machine that could not be simulated is left out.
 
     Parameters
     ----------

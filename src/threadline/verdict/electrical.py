@@ -20,8 +20,8 @@ class PeakPart(NamedTuple):
     """Arrays that a sweep over a block reads and updates for the peak current.
 
     ``current`` and ``between``, (n, axes, runs), are compared with ``zero``, (n, axes); ``between``
-    may be empty. ``size`` and ``at``, (2, axes, runs), are raised to the largest of each and its
-    first sample, -1 for none.
+    may be empty. ``size`` and ``at``, (2, axes, runs), become the largest size in each array, and
+    its first sample, or -1.
     """
 
     current: FloatArray
@@ -46,8 +46,8 @@ class RmsPart(NamedTuple):
 class DacPart(NamedTuple):
     """Arrays that a sweep reads and updates for the clamped samples.
 
-    ``beyond``, (axes, runs), counts the (n, axes, runs) values of at least (axes,) ``limit``;
-    ``first`` becomes the number of the first one, where the block begins with number ``begin``.
+    ``beyond``, (axes, runs), counts the (n, axes, runs) values of at least ``limit``, (axes,);
+    ``first`` becomes the number of the first such sample. The block begins with number ``begin``.
     """
 
     voltage: FloatArray
@@ -89,7 +89,7 @@ class _CurrentPeak(SweptMeasure):
         return self._part
 
     def feed(self, block: Block) -> None:
-        """Take the sweep's results; of equal values the earlier one."""
+        """Take the sweep's results; of equal values the earlier counts."""
         assert self._part is not None
         (sizes, between), (at, at_peak) = self._part.size, self._part.at
         self._part = None
@@ -134,7 +134,7 @@ class _CurrentPeak(SweptMeasure):
 class _CurrentRms(SweptMeasure):
     """Per axis: the root mean square of the motor's current over the recording, in A.
 
-    Between two samples the current is a straight line.
+    Between two samples the current is interpolated linearly.
     """
 
     def __init__(self, setting: Setting) -> None:
@@ -173,8 +173,8 @@ class _DacSaturation(SweptMeasure):
     """Per axis: the share of the time in which the controller's output is at its clamp.
 
     A controller holds its output, so each sample stands for one interval, the last one too. At the
-    clamp the loop is open. The clamp is ``range`` minus one level on the positive side and
-    at most ``range`` on the negative one; values within half a level of either count.
+    clamp the loop is open. The clamp is ``range`` minus one level on the positive side, and at most
+    ``range`` on the negative side. A value within half a level of the clamp counts.
     """
 
     def __init__(self, setting: Setting) -> None:
@@ -187,7 +187,7 @@ class _DacSaturation(SweptMeasure):
         shape = len(setting.axes), setting.runs
         self._clamped: IntArray = np.zeros(shape, dtype=np.int64)
         self._first: IntArray = np.full(shape, -1, dtype=np.int64)
-        # Place of the first sample at the clamp, the only one that is offered.
+        # Place of the first sample at the clamp; no other sample is offered.
         self._where = [Worst(setting.runs, shape[0], axis) for axis in setting.axes]
         self._count = 0
 

@@ -34,15 +34,15 @@ from threadline.winding.product import Product
 _NO_PRODUCT = "no product: give --product NAME.wind.toml"
 EVENNESS_OPTIONS = {"over": Option(unit="s", default=0.02, above_0=True)}
 _AT_REST_M_S = 1e-4  # speed of the fibre below which it rests: no winding is as slow
-_LEAST_M = 5e-5  # lifted or bridged: a tow is thicker
+_LEAST_M = 5e-5  # limit on lifted and bridged lengths: a tow is thicker
 MOST_VARIATION = 0.05
-"""Largest allowed variation of the tension, as the winder thesis has it (section 2.4)."""
+"""Largest allowed variation of the tension, from section 2.4 of the winder thesis."""
 
 
 Values = Callable[[Wound, int], FloatArray]
 """Returns (n,) values of a run, NaN where there is none."""
 Note = Callable[[Wound, int, int], str]
-"""Says something of the value of a run at a sample."""
+"""Returns a remark on the value of a run at a sample."""
 
 
 class _Largest:
@@ -64,7 +64,7 @@ class _Largest:
             if at < 0 or not safe[at] > self._worst.value[run]:
                 continue
             most[run] = safe[at]
-            time_s[run], position[run] = samples.time_s[at], samples.actual[at]
+            time_s[run], position[run] = samples.time_s[at], samples.position[at]
             if samples.operation is not None:
                 operation[run] = self._operations(samples.operation, run)[at]
             if self._note is not None:
@@ -81,7 +81,7 @@ class _Largest:
 
 
 class _Lifted(_Largest):
-    """The most fibre that is unwound in one go, at the operation where that begins."""
+    """The longest fibre that is unwound at once, at the operation where the unwinding begins."""
 
     def __init__(self, runs: int, axes: int) -> None:
         super().__init__(runs, axes, _lifted)
@@ -106,7 +106,7 @@ class _Lifted(_Largest):
 
 
 def _held(values: IntArray, before: int) -> IntArray:
-    """Return (n,) values with -1 replaced by the value before it."""
+    """Return (n,) values with -1 replaced by the previous value."""
     known = np.concatenate([[True], values >= 0])
     places = np.maximum.accumulate(np.where(known, np.arange(len(known)), 0))
     return np.concatenate([[before], values])[places][1:]
@@ -148,7 +148,7 @@ def _steer(samples: Wound, _run: int) -> FloatArray:
 
 
 def _wobble(samples: Wound, _run: int, at: int) -> str:
-    """Say how far the steering wobbles in a block, and which step would halve it."""
+    """Return in words how much the steering varies at a sample, and a step that would halve it."""
     fibre = samples.fibre
     low, high = float(fibre.least[at]), float(fibre.most[at])
     if not np.isfinite(high - low) or high - low < 1e-3:
@@ -188,8 +188,8 @@ def _paid_out(samples: Wound, _run: int) -> FloatArray:
 class _Evenness:
     """Standard deviation of the speed of the fibre over its mean, of each run.
 
-    The speed is a mean over ``over_s``, from the first known place to the last fibre that is drawn:
-    a rest in between counts, and the rest at the end does not.
+    Speeds are means over ``over_s``, from the first known place to the last fibre drawn: a rest in
+    between counts, the rest at the end does not.
     """
 
     def __init__(self, runs: int, axes: int, over_s: float) -> None:
@@ -197,7 +197,7 @@ class _Evenness:
         self._over_s = over_s
         # Time and drawn length from the beginning of the open window on; None: nothing is known.
         self._open: list[tuple[FloatArray, FloatArray] | None] = [None] * runs
-        # Number, sum and sum of squares of the speeds; and of those since the fibre last moved.
+        # Number, sum and sum of squares of the speeds; the same since the fibre last moved.
         self._sums, self._still = np.zeros((runs, 3)), np.zeros((runs, 3))
 
     def take(self, runs: Sequence[Wound]) -> None:
@@ -222,7 +222,7 @@ class _Evenness:
     def _windows(
         self, run: int, time_s: FloatArray, length: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """Add the whole windows of a stretch; return the rest of it."""
+        """Add the whole windows of a stretch; return the rest of the stretch."""
         count = int((time_s[-1] - time_s[0]) / self._over_s + 1e-9)
         edges = time_s[0] + self._over_s * np.arange(count + 1)
         drawn = np.interp(edges, time_s, length)
@@ -260,7 +260,7 @@ def _powers(speeds: FloatArray) -> FloatArray:
 
 
 class Near:
-    """How far eye, arm and free fibre come nearer to what turns than the product allows."""
+    """By how much eye, arm and free fibre come nearer to rotating parts than the product allows."""
 
     def __init__(self, jobs: Sequence[WoundJob]) -> None:
         from threadline.winding.clearance import Clearance
@@ -373,11 +373,11 @@ def measure_planned(plan: Plan) -> dict[str, list[Finding]]:
 def criteria_of(
     product: Product, spool: Spool | None = None, tensions_n: Sequence[float] = ()
 ) -> tuple[Criterion, ...]:
-    """Return the criteria of a product, beside the criteria of the specification.
+    """Return the criteria that a product adds to the specification.
 
-    With a spool its arm limits the slack, unless the product has a ``take_up``, and the
-    tension may vary by ``MOST_VARIATION``. A brake that can be set follows the tensions of the
-    layers; the least that the arm takes up at one of them counts.
+    The arm of a spool limits the slack, unless the product has a ``take_up``; and the tension may
+    vary by ``MOST_VARIATION``. An adjustable brake follows the tensions of the layers: the smallest
+    take-up of the arm at one of them counts.
     """
     slip = least_friction(product)
     take_up = product.take_up

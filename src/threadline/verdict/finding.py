@@ -1,4 +1,4 @@
-"""Results of measures: a finding for one run, arrays with a finding behind each for many."""
+"""Results of measures: a finding for one run; for many runs arrays, with a finding for each."""
 
 from __future__ import annotations
 
@@ -30,11 +30,11 @@ class Hidden:
         Name of a channel, and the time between two of its samples.
     most
         By how much the finding may be larger between samples, in its unit; it grows with the square
-        of the interval. Infinite if samples so far apart say nothing of the finding.
+        of the interval. Infinite if samples so far apart do not show the finding at all.
     why
-        Its bound, in words.
+        The bound in words.
     enough_s
-        Longest interval at which the samples say something of it; for an infinite ``most``.
+        Longest interval at which the samples show the finding; for an infinite ``most``.
     instead
         Another remedy than finer samples, in words.
     """
@@ -47,7 +47,7 @@ class Hidden:
     instead: str = ""
 
     def note(self, room: float) -> str:
-        """Return the note of a criterion that has ``room`` left under its limit at the samples."""
+        """Return the note of a criterion whose value at the samples is ``room`` below its limit."""
         allowed_s = self.enough_s
         if math.isfinite(self.most):
             allowed_s = self.interval_s * math.sqrt(max(room, 0.0) / self.most)
@@ -65,13 +65,13 @@ class Hidden:
 class Finding:
     """The worst value of one measure in one run, for one axis or (``""``) the tool.
 
-    ``value`` is None if nothing could be measured; ``note`` then says why. ``step`` is the step of
-    a move list. ``seen`` is the worst value of places that the recording reached, if ``value`` also
-    counts places that it did not. ``unseen`` says which part was not seen, if ``value`` is only the
-    worst of the rest: then it can fail a limit, but not pass one. ``hidden`` says how much larger
-    the value may be between two samples of a recording, and ``over`` how much too large it may be,
-    because tool or command did not go straight there. ``typical`` is the median of all runs, for a
-    measure of many runs together.
+    ``value`` is None if nothing could be measured; ``note`` then gives the reason. ``step`` is the
+    step of a move list. ``seen`` is the worst value of places that the recording reached, if
+    ``value`` also counts places that it did not reach. ``unseen`` names the part that was not seen,
+    if ``value`` is only the worst of the rest: then it can fail a limit, but not pass one.
+    ``hidden`` states how much larger the value may be between two samples of a recording; ``over``
+    how much too large it may be, because tool or command did not move straight between samples.
+    ``typical`` is the median of all runs, for a measure of many runs together.
     """
 
     value: float | None
@@ -108,8 +108,8 @@ class Finding:
     def under(self, limit: float | None, status: Statuses) -> Finding:
         """Return the finding as it counts under a limit: if partly unseen, it can only fail.
 
-        The same holds if it would exceed the limit with the error that may be hidden between
-        samples. If it fails only by the part that may be exaggerated, it is not measured.
+        The same holds if the error that may be hidden between samples would take it beyond the
+        limit. If it fails only by the part that may be too large, it is not measured.
         """
         if self._may_be_too_large(limit, status):
             every = "" if self.hidden is None else self.hidden.every
@@ -124,7 +124,7 @@ class Finding:
         return Finding(value=None, axis=self.axis, step=self.step, note=self.unseen)
 
     def _may_be_too_large(self, limit: float | None, status: Statuses) -> bool:
-        """Return whether the value fails its limit only by the part that may be exaggerated."""
+        """Return whether the value fails its limit only by the part that may be too large."""
         if not self.over or self.value is None or status(self.value, limit) is not Status.FAILED:
             return False
         return status(self.value - self.over, limit) is not Status.FAILED
@@ -170,7 +170,7 @@ class RunFindings:
     of
         Returns the finding of a run, by its number.
     parts
-        The findings that were joined into this one, each with its unseen part; or empty.
+        The findings that were joined, each with its unseen part; empty if none were.
     """
 
     axis: str = ""
@@ -203,7 +203,7 @@ class RunFindings:
         return RunFindings.made([function(self.of(run)) for run in range(len(self))])
 
     def worst(self) -> Finding:
-        """Return the worst finding of all runs, the first of equal ones."""
+        """Return the worst finding of all runs; of equal findings the first."""
         if len(self.value) == 1:
             return self.of(0)
         if self.parts:
@@ -216,14 +216,14 @@ class RunFindings:
 
 
 def sure_of(found: RunFindings, sure: FloatArray, *, unless: str) -> RunFindings:
-    """Return findings of straight lines between samples, which are larger than at the samples.
+    """Return findings that assume straight segments between samples, with their possible excess.
 
     Parameters
     ----------
     sure
-        (runs,) values that the samples show, whatever happens between them.
+        (runs,) values that the samples prove, whatever happens between them.
     unless
-        Note of findings that are of samples alone.
+        Note of findings that do not depend on the segments.
     """
     rows = []
     for run, least in enumerate(sure.tolist()):
@@ -305,14 +305,14 @@ class Worst:
         position: FloatArray | None = None,
         note: NDArray[Any] | str = "",
     ) -> None:
-        """Keep each run's value if it is worse than the one kept so far; of equals the first stays.
+        """Keep each run's value if it is worse than the value so far; of equals the first stays.
 
         Parameters
         ----------
         value
             (runs,) values; NaN is skipped.
         time_s, operation, line, position, note
-            Place of the value: one for all runs, or (runs,) one each; the position is (axes,) or
+            Place of the value, the same for all runs or (runs,); the position is (axes,) or
             (runs, axes). None is an unknown place.
         """
         at = np.flatnonzero(value > self.value)
@@ -329,11 +329,11 @@ class Worst:
         self._note[at] = _of(note, at)
 
     def is_beaten(self, value: FloatArray) -> bool:
-        """Return whether any of (runs,) values is worse than the value kept."""
+        """Return whether any of (runs,) values is worse than the value so far."""
         return bool((value > self.value).any())
 
     def say(self, note: str) -> None:
-        """Give every run without a value the reason for that."""
+        """Give every run without a value the reason ``note``."""
         self._note[np.isneginf(self.value)] = note
 
     def copy(self) -> Worst:
@@ -404,9 +404,9 @@ def _largest(
 def _add_squares(values: FloatArray, before: FloatArray, fresh: bool, total: FloatArray) -> None:
     """Add the mean squares of all sample intervals to ``total``, in their order.
 
-    Between two samples a and b the values are a straight line: its mean square is a third of
-    a^2 + a b + b^2. ``before``, (axes, runs), is the sample before, and becomes the last one; with
-    ``fresh`` there is none.
+    Between two samples a and b the value is interpolated linearly: its mean square is a third of
+    a^2 + a b + b^2. ``before``, (axes, runs), is the sample before, and becomes the last sample;
+    with ``fresh`` there is no sample before.
     """
     samples, axes, runs = values.shape
     for i in range(samples):
@@ -420,7 +420,7 @@ def _add_squares(values: FloatArray, before: FloatArray, fresh: bool, total: Flo
 def _count_beyond(
     values: FloatArray, limit: FloatArray, count: IntArray, first: IntArray, begin: int
 ) -> None:
-    """Count samples of at least ``limit``; ``first`` becomes the number of the first one."""
+    """Count samples of at least ``limit``; ``first`` becomes the number of the first of them."""
     samples, axes, runs = values.shape
     for i in range(samples):
         for a in range(axes):

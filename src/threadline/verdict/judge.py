@@ -1,4 +1,4 @@
-"""The judge: opens a recording beside its plan, by the type of the plan's intent, and measures."""
+"""The judge: opens a recording with its plan, and measures every criterion."""
 
 from __future__ import annotations
 
@@ -34,12 +34,12 @@ from threadline.verdict.types import Criterion, Disturbance, Result, Spec, Verdi
 
 
 def _switch_run(recording: Recording, plan: Plan, lag_s: float) -> Run:  # noqa: ARG001
-    """Return a run beside its schedule; it has no lag, because it waits for its inputs."""
+    """Return a run with its schedule; it has no lag, because it waits for its inputs."""
     return SwitchRun(recording, plan)
 
 
 def _stitch_run(recording: Recording, plan: Plan, lag_s: float) -> Run:  # noqa: ARG001
-    """Return a run beside its stitches; it has no lag, because the needle sets their times."""
+    """Return a run with its stitches; it has no lag, because the needle sets their times."""
     return StitchRun(recording, plan)
 
 
@@ -48,11 +48,11 @@ RUNS: Mapping[type, Callable[[Recording, Plan, float], Run]] = {
     Scheduled: _switch_run,
     Stitched: _stitch_run,
 }
-"""By intent: opens a recording beside its plan, with the lag, s, that the specification allows."""
+"""By intent: opens a recording with its plan and the lag, s, that the specification allows."""
 
 
 def open_run(recording: Recording, plan: Plan, lag_s: float) -> Run:
-    """Return ``recording`` beside ``plan``, in the form that its measures read.
+    """Return ``recording`` with ``plan``, in the form that measures read.
 
     Raises
     ------
@@ -121,12 +121,13 @@ class Judge:
         recordings
             Recordings of the same job; at least one.
         others
-            Recordings of other machines within the tolerances. Their worst counts too, except in
-            measures of many runs together (repeatability), which compare runs of one machine.
+            Recordings of other machines within the tolerances. Their worst results count too,
+            except in measures of many runs together (repeatability), which compare runs of one
+            machine.
         recorded
-            Whether these are recordings, and not runs simulated for this verdict. Limits of travel
-            and velocity are then measured on them as well, whatever origin a recording names. Of a
-            simulated recording that keeps them the plan's own values are shown, as in its proof.
+            Whether these are recordings, not runs simulated for this verdict. Travel and velocity
+            are then measured on them as well, whatever origin a recording names. If a simulated
+            recording keeps these limits, the plan's own values are shown, as in its proof.
 
         Raises
         ------
@@ -135,25 +136,25 @@ class Judge:
             lengths for a rotary one, or a trace is damaged.
         """
         plan, spec = self.plan, self.spec
-        findings, runs, listened = self._measured(recordings, recorded=recorded)
+        findings, runs, readers = self._measured(recordings, recorded=recorded)
         for other in others:
             measured, _, ended = self._measured([other], together=False, recorded=recorded)
-            listened = [*listened, *ended]
+            readers = [*readers, *ended]
             for key, found in measured.items():
                 if key not in self._of_plan:
                     findings[key] = joined(findings.get(key, []), found)
-        outcomes = [listener.outcome() for listener in listened]
+        outcomes = [reader.outcome() for reader in readers]
         why = next(filter(None, map(end_words, outcomes)), "")
         stops = [
-            listener.stopped_s
-            for listener, outcome in zip(listened, outcomes, strict=True)
+            reader.stopped_s
+            for reader, outcome in zip(readers, outcomes, strict=True)
             if outcome.incomplete
         ]
         stopped_s = None if None in stops else min(filter(None, stops), default=None)
         count = sum(recording.runs for recording in (*recordings, *others))
         simulated = all(recording.simulated for recording in (*recordings, *others))
         shown = recorded and not simulated and not why
-        from_trackers = [
+        unlined = [
             with_recording(result, findings, plan, spec, shown=shown)
             if MEASURES[criterion.name].of_plan(plan) is not None
             else not_beyond(
@@ -166,8 +167,8 @@ class Judge:
             for kind, found in _rows(criterion, findings, runs[0], spec)
             for result in (_result(criterion, kind, plan, found.worst()),)
         ]
-        results = with_lines(from_trackers, plan)
-        happened = [*(one for listener in listened for one in listener.disturbances)]
+        results = with_lines(unlined, plan)
+        happened = [*(one for reader in readers for one in reader.disturbances)]
         return Verdict(
             results=results,
             simulated=simulated,
@@ -194,8 +195,8 @@ class Judge:
             As ``verdict``.
         """
         plan = self.plan
-        findings, runs, listened = self._measured([recording], together=False, each=True)
-        why = next(filter(None, (end_words(one.outcome()) for one in listened)), "")
+        findings, runs, readers = self._measured([recording], together=False, each=True)
+        why = next(filter(None, (end_words(one.outcome()) for one in readers)), "")
         rows = [
             criterion_row(criterion, kind, plan, found, recording.runs)
             for criterion in self.spec.criteria
@@ -218,8 +219,8 @@ class Judge:
         for recording in recordings:
             _check_same_job(recording, plan)
             _check_units(recording, plan)
-        listened = with_event_readers(recordings, plan.machine)
-        opened = [open_run(recording, plan, self.spec.lag_s) for recording, _ in listened]
+        readers = with_event_readers(recordings, plan.machine)
+        opened = [open_run(recording, plan, self.spec.lag_s) for recording, _ in readers]
         kinds = {key: MEASURES[criterion.name] for key, criterion in self._keys.items()}
         of_recording = {} if each else kinds_of(self.spec, recorded=recorded)
         # Parallel runs in one recording are measured together while it is read.
@@ -240,7 +241,7 @@ class Judge:
                 findings[key] = joined(findings.get(key, []), found)
         findings |= _of_runs(in_step, runs, self._keys)
         findings |= self._of_plan
-        return findings, runs, [listener for _, listener in listened]
+        return findings, runs, [reader for _, reader in readers]
 
 
 def _check_same_job(recording: Recording, plan: Plan) -> None:

@@ -14,8 +14,8 @@ from threadline.verdict.replayed import Wound, WoundJob, programmed_fibre, wound
 from threadline.winding.replay import Fibre
 from threadline.winding.surface import Surface
 
-_NEAR_M = 0.02  # laid fibre beside a place where the designed fibre is looked for
-_LOST_M = 0.1  # the same after a part that is not known
+_NEAR_M = 0.02  # laid length before and after a point in which the designed fibre is searched
+_FAR_M = 0.1  # the same after a part of unknown place
 _ROUNDING = 1.0 + 1e-9  # of a squared distance
 
 
@@ -39,18 +39,18 @@ def _to_chord(point: FloatArray, design: FloatArray, k: int) -> tuple[float, flo
 def off_design(
     points: FloatArray, design: FloatArray, state: FloatArray, longest: float = np.inf
 ) -> FloatArray:
-    """Return (n,) distances of points to the designed fibre; NaN where one of them is not known.
+    """Return (n,) distances of points to the designed fibre; NaN where either place is unknown.
 
-    Both are (n, 4), place and laid length in m, and NaN for a place that is not known; lengths do
-    not fall. ``state`` is updated: how much more the design had laid at the point before, and how
-    far beside that length the design is searched. ``longest`` is the length of the longest chord of
-    the design, m: with it, chords that are too far to be the nearest are passed over.
+    Points and design are (n, 4): place and laid length in m, NaN for an unknown place; lengths do
+    not fall. ``state`` is updated: how much more length the design had laid at the point before,
+    and the length before and after it in which the design is searched. ``longest`` is the longest
+    chord of the design, m: it serves to skip chords that are too far away.
     """
     found = np.full(len(points), np.nan)
     last = len(design) - 2
     for i in range(len(points)):
         if np.isnan(points[i, 0]):
-            state[1] = _LOST_M
+            state[1] = _FAR_M
             continue
         length = points[i, 3] + state[0]
         low = max(np.searchsorted(design[:, 3], length - state[1]) - 1, 0)
@@ -69,13 +69,13 @@ def off_design(
             away, share = _to_chord(points[i], design, k)
             if away < best:
                 best, near, at = away, k, share
-        # Before or behind a part of the design that is not known, it has no place beside the point.
+        # Next to an unknown part of the design, the design has no place beside the point.
         before = near > 0 and at == 0.0 and np.isnan(design[near - 1, 0])
         behind = 0 <= near < last and at == 1.0 and np.isnan(design[near + 2, 0])
         if before or behind:
             near = -1
         if near < 0:
-            state[1] = _LOST_M
+            state[1] = _FAR_M
             continue
         found[i] = np.sqrt(best)
         state[0] = design[near, 3] + at * (design[near + 1, 3] - design[near, 3]) - points[i, 3]
@@ -93,7 +93,7 @@ def _points(surface: Surface, fibre: Fibre) -> FloatArray:
 
 
 _LATEST = local()
-"""A plan, and its designed fibre: many machines are judged under one plan."""
+"""The latest plan, and its designed fibre: many machines are judged with one plan."""
 
 
 def _design_of(plan: Plan) -> FloatArray:
@@ -107,7 +107,7 @@ def _design_of(plan: Plan) -> FloatArray:
     for samples in programmed_fibre(plan, job):
         fibre = samples.fibre
         points = _points(job.surface, fibre)
-        # Of a part that is not known one row stays: no chord leads across it.
+        # One row of an unknown part stays, so that no chord crosses it.
         known_rows = np.concatenate([[True], np.isfinite(points[:, 0])])
         kept = (known_rows[1:] | known_rows[:-1]) & np.isfinite(fibre.length_m)
         rows.append(points[kept])
@@ -125,10 +125,10 @@ class Apart:
         chords = np.linalg.norm(np.diff(self._design[:, :3], axis=0), axis=1)
         self._longest = float(chords.max(where=np.isfinite(chords), initial=0.0))
         self._surfaces = [job.surface for job in jobs]
-        self._state = [np.array([0.0, _LOST_M]) for _ in jobs]
+        self._state = [np.array([0.0, _FAR_M]) for _ in jobs]
 
     def __call__(self, samples: Wound, run: int) -> FloatArray:
-        """Return (n,) distances, m, of the samples of a run; NaN where one place is not known."""
+        """Return (n,) distances, m, of the samples of a run; NaN where either place is unknown."""
         fibre = samples.fibre
         if len(self._design) < 2:
             return np.full(len(fibre), np.nan)

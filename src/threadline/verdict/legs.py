@@ -1,7 +1,7 @@
 """Where a leg begins and ends: the first and the last movement of the command along it.
 
-A movement is the mean over all levels from 0.5 to 1.5 % of the set speed of the instants at which
-the command passes them.
+A movement is dated by its speed levels from 0.5 to 1.5 % of the set speed: the mean of the instants
+at which the command passes each level.
 """
 
 from __future__ import annotations
@@ -16,13 +16,13 @@ from threadline.base.arrays import FloatArray, IntArray
 
 STILL = 0.01  # of the set speed
 _FAINT, _MOVED = 0.005, 0.01  # of the set speed: lowest level of a movement, and their range
-TURNS = 6.0  # of the needle: so far before and after a corner a movement is looked for
-_STRAIGHT = 1.0 - 1e-6  # cosine: directions of stitches of one straight line
+TURNS = 6.0  # of the needle, before and after a corner, in which a movement is searched
+_STRAIGHT = 1.0 - 1e-6  # cosine between two stitches on one straight line
 _CORNER = 0.985  # cosine of 10 degrees: a line that turns by less has no corner
 
 
 class Instant(NamedTuple):
-    """A sample: the plan's time, the recording's, the operation and the commanded position."""
+    """A sample: the plan's time, the recording's time, the operation and the commanded position."""
 
     due_s: float
     time_s: float
@@ -41,15 +41,15 @@ class Dip:
     least
         Lowest speed, as a share of the set speed.
     stop, turn
-        First and last instant at which the command stands, or its slowest instant.
+        First and last instant at which the command rests, or its slowest instant.
     period_s
-        Turn of the needle where the stretch begins.
+        Duration of the needle's turn where the stretch begins.
     rise_period_s
-        Turn of the needle where the command has its speed again.
+        Duration of the needle's turn where the command is back at its speed.
     rise
-        When the command has its speed again; None until then.
+        Instant at which the command is back at its speed; None until then.
     geared
-        Whether the needle follows the head: then a plan does not swing.
+        Whether the needle follows the head: then the planned motion does not oscillate.
     stopped, started
         Whether the stop and the start have been counted.
     """
@@ -77,16 +77,16 @@ class Rows:
     velocity
         (n, axes) commanded, as a share of the set speed.
     grain
-        (n, axes) what one count changes of it.
+        (n, axes) change of ``velocity`` by one count.
     along
         (n, axes) direction of the stitch.
     stitch, contour
-        (n,) their numbers.
+        (n,) number of the stitch and of its contour.
     needle_s, down_s
-        (n,) needle-downs at the ends of the stitch, plan's time.
+        (n,) plan's time of the needle-downs at the start and the end of the stitch.
     first, rest_s
-        (n,) whether it is the first of its contour, and from when the head rests before it; minus
-        infinity unless it comes from another contour.
+        (n,) whether the stitch is the first of its contour, and the start of the rest before it;
+        minus infinity unless the head comes from another contour.
     """
 
     due_s: FloatArray
@@ -108,7 +108,7 @@ class Rows:
         return Rows(**{field.name: getattr(self, field.name)[rows] for field in fields(self)})
 
     def joined(self, more: Rows) -> Rows:
-        """Return these samples and those behind them."""
+        """Return these samples, followed by more."""
         pairs = ((f.name, getattr(self, f.name), getattr(more, f.name)) for f in fields(self))
         return Rows(**{name: np.concatenate([one, two]) for name, one, two in pairs})
 
@@ -131,7 +131,7 @@ class _Corner:
 
 
 class Past:
-    """The last samples of the command, beside the stitches to which they belong."""
+    """The last samples of the command, with the stitches to which they belong."""
 
     def __init__(self) -> None:
         self._rows: Rows | None = None
@@ -155,7 +155,7 @@ class Past:
     def start(self, dip: Dip) -> tuple[float, float]:
         """Return when the command first moves along the leg after a dip, and its needle-down.
 
-        Where no leg begins: when the command is slowest, and NaN.
+        If no leg begins there: the instant of lowest speed, and NaN.
         """
         assert self._rows is not None and dip.rise is not None
         rows, turn_s, period_s = self._rows, dip.turn.due_s, dip.rise_period_s
@@ -181,11 +181,11 @@ class Past:
     def stop(self, dip: Dip) -> tuple[float, float]:
         """Return when the command last moves along the leg before a dip, and its needle-down.
 
-        Where no leg ends: when the command is slowest, and NaN.
+        If no leg ends there: the instant of lowest speed, and NaN.
         """
         assert self._rows is not None
         rows, stop_s, period_s = self._rows, dip.stop.due_s, dip.period_s
-        # A recording is read in parts: a rise beyond these turns may be known, or not yet.
+        # A recording is read block by block: a rise later than this may be known, or not yet.
         until_s = stop_s + TURNS * period_s
         if dip.rise is not None:
             until_s = min(until_s, dip.rise.due_s)
@@ -211,7 +211,7 @@ class Past:
         return -_first_moved(replace(back, due_s=-back.due_s), acting), needle_s
 
     def _corner(self, dip: Dip, until_s: float, beside_s: float) -> _Corner | None:
-        """Return the corner of a dip, up to a turn of the needle beside it.
+        """Return the corner in a dip, or within one turn of the needle before or after it.
 
         While one axis stops and another starts, the speed may dip twice, with the corner between.
         """
@@ -244,8 +244,8 @@ def _corner(rows: Rows, first: int, last: int) -> _Corner | None:
 def _middle(rows: Rows, row: int, step: int) -> float:
     """Return the middle of the straight stretch that begins at ``row`` and goes on by ``step``.
 
-    Beyond it a movement belongs to the leg's other end. A bend ends the stretch: in it the head
-    moves along all directions.
+    Beyond the middle a movement belongs to the other end of the leg. A bend ends the stretch: there
+    the head moves in all directions.
     """
     rest = rows.along[row:] if step > 0 else rows.along[row::-1]
     bent = np.flatnonzero(rest @ rows.along[row] < _STRAIGHT)
@@ -256,11 +256,11 @@ def _middle(rows: Rows, row: int, step: int) -> float:
 
 
 def _acting(leg: FloatArray, other: FloatArray) -> FloatArray:
-    """Return what makes of a velocity its share along ``leg`` that ``other`` does not explain."""
+    """Return the vector whose product with a velocity ``a leg + b other`` is a."""
     cosine = float(leg @ other)
     across = leg - cosine * other
     squared = float(across @ across)
-    # A line that turns back: both legs have one direction.
+    # On a line that turns back both legs have the same direction.
     return across / squared if squared > 1.0 - _CORNER**2 else leg
 
 
@@ -269,7 +269,7 @@ def _first_moved(rows: Rows, acting: FloatArray) -> float:
     if not len(rows):
         return np.nan
     speed = np.abs(rows.velocity @ acting)
-    # A command in whole counts is off by one of them from sample to sample.
+    # A command in whole counts varies by one count from sample to sample.
     speed -= rows.grain @ np.abs(acting) + _FAINT
     most = np.maximum.accumulate(speed)
     begin, end = most[:-1], most[1:]

@@ -72,7 +72,7 @@ class Option:
 
 
 Needs = tuple[tuple[ChannelKind, ...], ...]
-"""Required kinds of channel; of each set one is enough."""
+"""Required kinds of channel; one kind of each set suffices."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -86,7 +86,7 @@ class Running:
 
 
 class Run(Protocol):
-    """One recording beside its plan, in the form that the measures of its kind of work read.
+    """One recording with its plan, in the form that the measures of its kind of work read.
 
     ``of`` names the kind of run in words. ``absent`` is the reason given for an axis without a
     finding.
@@ -207,7 +207,7 @@ class OfPlan:
     intent
         Type of intent of the plans that it applies to.
     measure
-        Returns its findings, and by name the findings of other measures from the same pass.
+        Returns findings by measure: its own, and findings of other measures from the same pass.
     """
 
     intent: type
@@ -277,7 +277,7 @@ class MeasureKind:
     dimension
         Dimension of the value.
     per_axis
-        One finding per axis; else one for the tool.
+        Whether it has one finding per axis; otherwise it has one for the tool.
     reads
         Its input (the plan alone, one run, many runs) and how it is read: one entry for each form
         of this input. A plan or run of another form has nothing to measure.
@@ -288,7 +288,7 @@ class MeasureKind:
     slack, allowance
         The limit is exceeded above ``slack * limit + allowance``.
     least, most
-        Range of the values that it can have; a share of a whole goes up to 1.
+        Range of possible values; the share of a whole is at most 1.
     """
 
     name: str

@@ -28,7 +28,7 @@ T = TypeVar("T")
 
 
 class Fork(Generic[T]):
-    """A stream shared by two readers, each in order; items one has not taken yet are kept for it.
+    """A stream shared by two readers; an item is kept until both have taken it.
 
     >>> fork = Fork(iter("abc"))
     >>> one, other = iter(fork.first), iter(fork.second)
@@ -102,7 +102,7 @@ class MotionRun(Setting):
     lag_s
         Free following error in time: how far the machine may trail its command.
     by_time
-        Whether it has the operations of the commands at the same instant, as none were recorded.
+        Whether operations come from the commands at the same instant, because none were recorded.
     coverage
         Instants of each channel that the recording covers, once it has been read.
     operations
@@ -140,7 +140,7 @@ class MotionRun(Setting):
         """Return why the recording lacks data for a measure; empty if it does not."""
         for alternatives in reading.needs:
             lacking = self._lacking(alternatives)
-            # A measure of single axes takes the axes that exist; one of the tool needs every axis.
+            # A measure of single axes takes the axes that exist; the tool needs every axis.
             every = not per_axis or reading.of_every_axis in alternatives
             if lacking and (every or len(lacking) == len(self.axes)):
                 return self._why(alternatives, lacking)
@@ -234,12 +234,12 @@ class MotionRun(Setting):
         return found
 
     def _hidden(self, one: Running, axis: str) -> Hidden | None:
-        """Return the error that the samples may hide from a measure; None for samples at each tick.
+        """Return the error that the samples may hide from a measure; None if they hide none.
 
-        With samples at each tick a measure that follows the loads between them has it, in a
-        recording from outside without velocities.
-        Between samples T apart a position leaves the straight line by at most a T^2 / 8 at an
-        acceleration of a. A speed is measured as a mean, over samples that are no further apart.
+        Samples at each tick hide an error only from measures that follow the loads between samples,
+        and only in a foreign recording without velocities. Between samples T apart a position
+        deviates from the straight segment by at most a T^2 / 8 at an acceleration of a. A speed is
+        a mean: samples must not be further apart than its averaging time.
         """
         places = [n for n in one.reading.needs if not _PLACES.isdisjoint(n)]
         channels = [
@@ -254,7 +254,7 @@ class MotionRun(Setting):
         interval_s = sample_interval_s(coarsest)
         tick_s = float(self.plan.commands.clock.period_s)
         at_ticks = interval_s <= tick_s * (1.0 + _ROUNDING)
-        if at_ticks and (one.kind.name not in FOLLOWED or self._says_between):
+        if at_ticks and (one.kind.name not in FOLLOWED or self._known_between):
             return None
         unit = one.kind.dimension
         over_s = _VELOCITY_S if unit == "axis/s" else one.options.get("over", 0.0)
@@ -293,8 +293,8 @@ class MotionRun(Setting):
         return None
 
     @property
-    def _says_between(self) -> bool:
-        """Whether a recording at each tick says where the loads are in between, or is simulated."""
+    def _known_between(self) -> bool:
+        """Whether the path between samples at each tick is known, or the recording is simulated."""
         return self.recording.simulated or bows(self)
 
     def unseen(self, reading: RunReading) -> str:
@@ -322,7 +322,7 @@ class MotionRun(Setting):
         return found
 
     def _arrived(self, block: Block) -> bool:
-        """Return whether the command stands at the path's end, in the last moving operation."""
+        """Return whether the command rests at the path's end, in the last moving operation."""
         path, commanded, operation = block.path, block.commanded, block.operation
         if path is None or commanded is None or operation is None or not path.ended:
             return False
@@ -330,7 +330,7 @@ class MotionRun(Setting):
         return bool(operation[-1] >= path.operation[-1] and left <= _ARRIVED_M)
 
 
-_VELOCITY_S = 0.02  # over which the velocity of a recording is taken
+_VELOCITY_S = 0.02  # averaging time of the velocity of a recording
 _PLACES = {ChannelKind.TOOL, ChannelKind.LOAD, ChannelKind.MEASURED}
 
 
@@ -341,12 +341,12 @@ def _most(axis: Axis) -> float:
 
 
 def _with_hidden(hidden: Hidden, finding: Finding) -> Finding:
-    """Return a finding with the part that its samples do not show: the most by which it is off."""
+    """Return a finding with the error that its samples may hide, which also bounds ``over``."""
     return replace(finding, hidden=hidden, over=min(finding.over, hidden.most))
 
 
 def _as_seen(finding: Finding, kind: MeasureKind, lack: Lack) -> Finding:
-    """Return a finding reduced to the part that it proves where samples are missing.
+    """Return what a finding proves although samples are missing.
 
     A maximum over samples from before an early end still fails a limit that it exceeds; any other
     finding counts as not measured.
@@ -360,12 +360,12 @@ def _as_seen(finding: Finding, kind: MeasureKind, lack: Lack) -> Finding:
 
 
 def motion_run(recording: Recording, plan: Plan, lag_s: float) -> MotionRun:
-    """Return ``recording`` beside ``plan``, with operations and the intended commanded positions.
+    """Return ``recording`` with ``plan``, with operations and the intended commanded positions.
 
     Recorded operations have priority over the plan's at the same instant. A recording without them,
     or with -1 throughout, gets the operations of the commands. For a live recording this is known
-    only after it has been read, and it can be read only once: the returned run then has a second
-    one, ``by_plan``, which reads the same blocks with the operations of the commands.
+    only after it has been read, and it can be read only once: ``by_plan`` of the returned run then
+    reads the same blocks with the operations of the commands.
 
     Raises
     ------
@@ -378,20 +378,20 @@ def motion_run(recording: Recording, plan: Plan, lag_s: float) -> MotionRun:
     channel = recording.find(ChannelKind.OPERATION)
     if channel is None:
         timed = with_operation(watched, plan, plan.axes)
-        return _beside(timed, plan, lag_s, coverage, by_time=True)
+        return _opened(timed, plan, lag_s, coverage, by_time=True)
     if recording.simulated:  # the twin always records operations
-        return _beside(watched, plan, lag_s, coverage, by_time=False)
+        return _opened(watched, plan, lag_s, coverage, by_time=False)
     fork = Fork(watched)
     operations = WatchedOperations(fork.first, channel, plan.job)
     others = tuple(c for c in recording.channels if c is not channel)
     fallback = replace(watched, channels=others, blocks=fork.second)
     timed = with_operation(fallback, plan, plan.axes)
-    by_plan = _beside(timed, plan, lag_s, coverage, by_time=True)
-    run = _beside(replace(watched, blocks=operations), plan, lag_s, coverage, by_time=False)
+    by_plan = _opened(timed, plan, lag_s, coverage, by_time=True)
+    run = _opened(replace(watched, blocks=operations), plan, lag_s, coverage, by_time=False)
     return replace(run, operations=operations, by_plan=replace(by_plan, branch=fork.second))
 
 
-def _beside(
+def _opened(
     recording: Recording, plan: Plan, lag_s: float, coverage: Coverage, *, by_time: bool
 ) -> MotionRun:
     axes = plan.axes

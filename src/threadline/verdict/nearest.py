@@ -1,26 +1,118 @@
-"""Distances between the actual paths of many runs and the programmed one, within a window.
+"""Distances between the actual paths of many runs and the programmed path, within a window.
 
 Runs are adjacent in memory, (samples, axes, runs): the geometry of a chord is computed once, and
 the innermost loop, over the runs, becomes vector instructions. Each run gets the same operations as
-when it is alone, so that its result does not depend on the other runs, bit for bit.
+when it is alone, so its result does not depend on the other runs, to the bit.
 """
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import numpy as np
 
 from threadline.base.arrays import FloatArray, IntArray
 from threadline.base.compiled import njit
 
-_FINEST = 1.0 / 4096  # of a segment: it is not subdivided further
-_NOTHING_M2 = 1e-26  # a place this close to the path is on it, up to rounding
+_FINEST = 1.0 / 4096  # of a segment: the shortest part that is examined
+_NOTHING_M2 = 1e-26  # a point this close to the path lies on it, up to rounding
 _MOST_PARTS = 32  # parts of a segment that wait: one for each halving, down to the finest
 
 
-def _weighed_to_segment(
+class Chords(NamedTuple):
+    """Chords of the programmed path: chord c leads from vertex c - 1 to vertex c.
+
+    ``vertices`` and ``vector`` are (m, axes), ``squared``, (m,), is the squared length of each
+    vector, or 1 for a chord without length. Row 0 of ``vector`` and ``squared`` is unused.
+    """
+
+    vertices: FloatArray
+    vector: FloatArray
+    squared: FloatArray
+
+
+class Candidates(NamedTuple):
+    """(n,) first and last chord that each sample is compared with."""
+
+    begin: IntArray
+    end: IntArray
+
+
+class Nearest(NamedTuple):
+    """The nearest chord of each sample.
+
+    ``squared``, (n, runs), is the squared distance to it. ``chord``, (n, runs), is its number,
+    unless ``common``, (n,), gives one number for all runs; ``common`` is -1 where the runs differ.
+    """
+
+    squared: FloatArray
+    chord: IntArray
+    common: IntArray
+
+
+class Track(NamedTuple):
+    """Samples of all runs, n of them, and in row 0 the sample before the first.
+
+    ``points``, (n + 1, axes, runs), are lengths at the tool, ``time_s``, (n + 1,), their instants;
+    ``begin`` and ``end``, (n + 1,), are the candidate chords of each. Row 1 is sample ``first`` of
+    the block.
+    """
+
+    points: FloatArray
+    time_s: FloatArray
+    begin: IntArray
+    end: IntArray
+    first: int
+
+
+class Shares(NamedTuple):
+    """Weights of the axes where a mandrel's radius varies; empty means equal weights.
+
+    ``samples`` is (n, axes), or (n, axes, runs) for many runs; ``vertices`` is (vertices, axes).
+    """
+
+    samples: FloatArray
+    vertices: FloatArray
+
+
+class Search(NamedTuple):
+    """Chords to search for the nearest to a segment between two samples of one run.
+
+    Candidates are ``low`` to ``high`` of the chords between ``vertices``. ``near_start`` and
+    ``near_end`` are the nearest chords of the two samples.
+    """
+
+    vertices: FloatArray
+    low: int
+    high: int
+    near_start: int
+    near_end: int
+
+
+class Farthest(NamedTuple):
+    """The place of each run that is farthest from the programmed path so far; all are (runs,).
+
+    ``squared`` is its squared distance, and ``chord`` the chord nearest to it. It lies on the
+    segment that leads to sample ``at`` of the block, at the share ``part`` (0..1) of the segment.
+    """
+
+    squared: FloatArray
+    at: IntArray
+    part: FloatArray
+    chord: IntArray
+
+
+class Closest(NamedTuple):
+    """The closest approach of each run to each vertex so far; both are (vertices, runs)."""
+
+    squared: FloatArray
+    time_s: FloatArray
+
+
+def _weighted_to_segment(
     point: FloatArray, start: FloatArray, end: FloatArray, share: FloatArray
 ) -> float:
-    """Return the squared distance of a point to a segment, each axis weighed with its share."""
+    """Return the squared distance of a point to a segment, each axis weighted with its share."""
     along = 0.0
     length = 0.0
     for k in range(len(point)):
@@ -35,25 +127,30 @@ def _weighed_to_segment(
     return squared
 
 
-weighed_to_segment = njit(nogil=True)(_weighed_to_segment)
+weighted_to_segment = njit(nogil=True)(_weighted_to_segment)
 
 
 def chord_vectors(vertices: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the (m, axes) direction vector of each chord, and (m,) its squared length.
+    """Return the (m, axes) vector of each chord, and (m,) its squared length.
 
-    Chord c ends at vertex c; row 0 is unused. A chord whose squared length has lost digits, or has
-    an infinite inverse, counts as a point, with length 1.
+    Chord c ends at vertex c; row 0 is unused. If the squared length has lost digits, or its inverse
+    is infinite, the chord counts as a point and the squared length is 1.
     """
-    way = np.diff(vertices, axis=0, prepend=vertices[:1])
-    squared = lengths_squared(way)
-    return way, np.where(squared > np.finfo(np.float64).tiny, squared, 1.0)
+    vector = np.diff(vertices, axis=0, prepend=vertices[:1])
+    squared = lengths_squared(vector)
+    return vector, np.where(squared > np.finfo(np.float64).tiny, squared, 1.0)
 
 
-def lengths_squared(ways: FloatArray) -> FloatArray:
+def chords_of(vertices: FloatArray) -> Chords:
+    """Return the chords between (m, axes) vertices."""
+    return Chords(vertices, *chord_vectors(vertices))
+
+
+def lengths_squared(vectors: FloatArray) -> FloatArray:
     """Return (m,) squared lengths of (m, axes) vectors, faster than numpy's sum over axes."""
-    squared = ways[:, 0] ** 2
-    for axis in range(1, ways.shape[1]):
-        squared += ways[:, axis] ** 2
+    squared = vectors[:, 0] ** 2
+    for axis in range(1, vectors.shape[1]):
+        squared += vectors[:, axis] ** 2
     return squared
 
 
@@ -61,9 +158,7 @@ def _nearest_of_all(
     point: FloatArray,
     begin: int,
     end: int,
-    vertices: FloatArray,
-    way: FloatArray,
-    length: FloatArray,
+    chords: Chords,
     axes: tuple[int, ...],
     share: FloatArray | None,
     squared: FloatArray,
@@ -71,9 +166,11 @@ def _nearest_of_all(
 ) -> None:
     """Fill in the squared distance of a point of each run to the chords ``begin`` to ``end``.
 
-    ``chord`` is the first of the nearest. ``axes`` is a tuple with one entry per axis: its length
-    is known at compile time, so that loops over axes are unrolled and tests of ``share`` vanish.
+    ``chord`` becomes the first of the nearest chords. ``axes`` is a tuple with one entry per axis:
+    its length is known at compile time, so the compiler unrolls loops over axes. It also removes
+    the tests of ``share``.
     """
+    vertices, vector, length = chords
     runs = len(squared)
     for r in range(runs):
         squared[r] = np.inf
@@ -84,20 +181,20 @@ def _nearest_of_all(
             size = length[c]
             if share is None:
                 for a in range(len(axes)):
-                    along += (point[a, r] - vertices[c - 1, a]) * way[c, a]
+                    along += (point[a, r] - vertices[c - 1, a]) * vector[c, a]
             else:
                 size = 0.0
                 for a in range(len(axes)):
-                    weighed = share[a, r] * way[c, a]
-                    along += share[a, r] * (point[a, r] - vertices[c - 1, a]) * weighed
-                    size += weighed * weighed
+                    weighted = share[a, r] * vector[c, a]
+                    along += share[a, r] * (point[a, r] - vertices[c - 1, a]) * weighted
+                    size += weighted * weighted
                 size = size if size > 0.0 else 1.0
             where = along / size
             where = where if where > 0.0 else 0.0
             where = where if where < 1.0 else 1.0
             away = 0.0
             for a in range(len(axes)):
-                gap = point[a, r] - vertices[c - 1, a] - where * way[c, a]
+                gap = point[a, r] - vertices[c - 1, a] - where * vector[c, a]
                 if share is not None:
                     gap *= share[a, r]
                 away += gap * gap
@@ -111,40 +208,35 @@ nearest_of_all = njit(nogil=True)(_nearest_of_all)
 
 def _nearest_chords(
     points: FloatArray,
-    begin: IntArray,
-    end: IntArray,
-    vertices: FloatArray,
-    way: FloatArray,
-    length: FloatArray,
+    candidates: Candidates,
+    chords: Chords,
     axes: tuple[int, ...],
     share: FloatArray,
     squared: FloatArray,
     chord: IntArray,
 ) -> None:
-    """Do the same for each of (n, axes, runs) points and the chords ``begin[i]`` to ``end[i]``.
+    """Fill in the squared distance of each of (n, axes, runs) points to its candidate chords.
 
-    ``share`` has the shape of the points; empty means equal weights of the axes.
+    ``chord`` becomes the first of the nearest chords. ``share`` has the shape of the points; empty
+    means equal weights of the axes.
     """
+    begin, end = candidates
     for i in range(len(points)):
         if len(share):
             nearest_of_all(
-                points[i], begin[i], end[i], vertices, way, length, axes, share[i],
-                squared[i], chord[i],
-            )  # fmt: skip
+                points[i], begin[i], end[i], chords, axes, share[i], squared[i], chord[i]
+            )
         else:
-            nearest_of_all(
-                points[i], begin[i], end[i], vertices, way, length, axes, None,
-                squared[i], chord[i],
-            )  # fmt: skip
+            nearest_of_all(points[i], begin[i], end[i], chords, axes, None, squared[i], chord[i])
 
 
 def _most_between(
-    first: float, second: float, here: FloatArray, there: FloatArray, share: FloatArray
+    first: float, second: float, start: FloatArray, end: FloatArray, share: FloatArray
 ) -> float:
     """Return an upper bound of squared distances on a segment, given the distances of its ends."""
     squared = 0.0
-    for k in range(len(here)):
-        squared += (share[k] * (there[k] - here[k])) ** 2
+    for k in range(len(start)):
+        squared += (share[k] * (end[k] - start[k])) ** 2
     return float((0.5 * (np.sqrt(first) + np.sqrt(second) + np.sqrt(squared))) ** 2)
 
 
@@ -152,98 +244,86 @@ _most_between_fast = njit(nogil=True)(_most_between)
 
 
 def _none_farther(
-    here: FloatArray,
-    there: FloatArray,
-    known: int,
-    chord: int,
-    vertices: FloatArray,
-    share: FloatArray,
-    least: float,
+    start: FloatArray, end: FloatArray, share: FloatArray, search: Search, least: float
 ) -> bool:
-    """Return whether certainly no place between two points is farther than ``least``, squared.
-
-    ``known`` is a chord near the first point, ``chord`` one near the second.
-    """
+    """Return whether no place of a segment is farther than ``least``, squared, by three bounds."""
+    vertices, low, _, near_start, near_end = search
+    first_chord, chord = max(near_start, low), near_end
     # One chord near both ends is enough: no place of the segment is farther from it than an end.
-    second = weighed_to_segment(there, vertices[chord - 1], vertices[chord], share)
-    other = weighed_to_segment(here, vertices[chord - 1], vertices[chord], share)
+    second = weighted_to_segment(end, vertices[chord - 1], vertices[chord], share)
+    other = weighted_to_segment(start, vertices[chord - 1], vertices[chord], share)
     if max(other, second) <= least:
         return True
     # Nor can a place be farther than half of the segment plus the distances of both ends.
-    first = weighed_to_segment(here, vertices[known - 1], vertices[known], share)
-    if _most_between_fast(first, second, here, there, share) <= least:
+    first = weighted_to_segment(start, vertices[first_chord - 1], vertices[first_chord], share)
+    if _most_between_fast(first, second, start, end, share) <= least:
         return True
-    if abs(chord - known) != 1:
+    if abs(chord - first_chord) != 1:
         return False
     # The vertex between the chords splits the segment: each part is near its own chord.
-    joint = weighed_to_segment(vertices[min(known, chord)], here, there, share)
+    joint = weighted_to_segment(vertices[min(first_chord, chord)], start, end, share)
     return max(first, second, joint) <= least
 
 
-def _alike(first: IntArray, first_only: int, second: IntArray, second_only: int) -> bool:
-    """Return whether all chord numbers are equal; ``only`` counts unless it is below 0."""
-    if first_only >= 0 and second_only >= 0:
-        return first_only == second_only
+def _same_chord(first: IntArray, first_common: int, second: IntArray, second_common: int) -> bool:
+    """Return whether all chord numbers are equal; a ``common`` number counts unless it is < 0."""
+    if first_common >= 0 and second_common >= 0:
+        return first_common == second_common
     others = 0
     for r in range(len(first)):
-        one = first_only if first_only >= 0 else first[r]
-        others += one != (second_only if second_only >= 0 else second[r])
+        one = first_common if first_common >= 0 else first[r]
+        others += one != (second_common if second_common >= 0 else second[r])
     return others == 0
 
 
 _none_farther_fast = njit(nogil=True)(_none_farther)
-_alike_fast = njit(nogil=True)(_alike)
+_same_chord_fast = njit(nogil=True)(_same_chord)
 
 
-def _look_between(
-    here: FloatArray,
-    there: FloatArray,
-    low: int,
-    high: int,
-    left_from: int,
-    led_to: int,
-    vertices: FloatArray,
-    of: FloatArray,
-    worst: FloatArray,
-    at: IntArray,
-    part: FloatArray,
-    worst_chord: IntArray,
+def _search_segment(
+    start: FloatArray,
+    end: FloatArray,
+    share: FloatArray,
+    search: Search,
+    farthest: Farthest,
     r: int,
     number: int,
 ) -> None:
-    """Raise ``worst[r]``, squared, where a segment between two points is farther than its ends.
+    """Raise the farthest place of run ``r`` where a straight segment is farther than its ends.
 
-    ``left_from`` is a chord near the first point, ``led_to`` one near the second; ``low`` to
-    ``high`` are the candidates. For the place of the worst see ``between``.
+    ``start`` and ``end``, (axes,), are two successive samples, the second of them ``number``;
+    ``share``, (axes,), weights the axes. The segment is halved until a bound settles each part.
     """
+    worst, at, part, worst_chord = farthest
     least = max(worst[r], _NOTHING_M2)
-    if _none_farther_fast(here, there, max(left_from, low), led_to, vertices, of, least):
+    if _none_farther_fast(start, end, share, search, least):
         return
-    axes = len(here)
+    vertices, low, high, _, _ = search
+    axes = len(start)
     lows, highs = np.empty(_MOST_PARTS), np.empty(_MOST_PARTS)
-    start, stop = np.empty(axes), np.empty(axes)
+    here, there = np.empty(axes), np.empty(axes)
     left = 1
     lows[0], highs[0] = 0.0, 1.0
     while left:
         left -= 1
         a, b = lows[left], highs[left]
         for n in range(axes):
-            start[n] = here[n] + a * (there[n] - here[n])
-            stop[n] = here[n] + b * (there[n] - here[n])
+            here[n] = start[n] + a * (end[n] - start[n])
+            there[n] = start[n] + b * (end[n] - start[n])
         # No place of this part is farther than its ends from any single chord.
         bound = np.inf
         for c in range(low, high + 1):
-            first = weighed_to_segment(start, vertices[c - 1], vertices[c], of)
-            second = weighed_to_segment(stop, vertices[c - 1], vertices[c], of)
+            first = weighted_to_segment(here, vertices[c - 1], vertices[c], share)
+            second = weighted_to_segment(there, vertices[c - 1], vertices[c], share)
             bound = min(bound, max(first, second))
         if bound <= max(worst[r], _NOTHING_M2) or b - a < _FINEST:
             continue
         middle = 0.5 * (a + b)
         for n in range(axes):
-            start[n] = 0.5 * (start[n] + stop[n])
+            here[n] = 0.5 * (here[n] + there[n])
         best, nearest = np.inf, -1
         for c in range(low, high + 1):
-            away = weighed_to_segment(start, vertices[c - 1], vertices[c], of)
+            away = weighted_to_segment(here, vertices[c - 1], vertices[c], share)
             if away < best:
                 best, nearest = away, c
         if best > worst[r]:
@@ -254,105 +334,88 @@ def _look_between(
             left += 2
 
 
-look_between = njit(nogil=True)(_look_between)
+search_segment = njit(nogil=True)(_search_segment)
 
 
-def _between(
-    points: FloatArray,
-    before: FloatArray,
-    chord: IntArray,
-    chord_before: IntArray,
-    only: IntArray,
-    begin: IntArray,
-    end: IntArray,
-    vertices: FloatArray,
-    share: FloatArray,
-    worst: FloatArray,
-    at: IntArray,
-    part: FloatArray,
-    worst_chord: IntArray,
-    number: int,
+def _raise_to_segments(
+    track: Track, nearest: Nearest, vertices: FloatArray, share: FloatArray, farthest: Farthest
 ) -> None:
-    """Raise ``worst``, (runs,) squared, where a segment to a point is farther than its ends.
+    """Raise the farthest places where a segment between two samples is farther than its ends.
 
-    The distance to one chord is largest at an end of the segment; to two it may not be. ``chord``
-    are the nearest ones of each run, unless ``only`` gives one for all. ``begin``, ``end`` and
-    ``only`` have one entry more than the points, for the point before. The place of the worst is
-    ``at``, the point that the segment leads to, counted from ``number``; ``part`` of the segment
-    (0..1); and the nearest chord ``worst_chord``. Axes are weighed with the shares of the point
-    that the segment leads to; an empty ``share`` means equal weights.
+    The distance to one chord is largest at an end of the segment; the distance to the nearer of two
+    chords may be larger in between. ``nearest`` has a row for each row of ``track``. Axes are
+    weighted with the shares at the end of the segment, ``share``, (n, axes, runs); empty means
+    equal weights.
     """
+    points, _, begin, end, number = track
+    _, chord, common = nearest
     axes = points.shape[1]
-    here, there, of = np.empty(axes), np.empty(axes), np.ones(axes)
-    for i in range(len(points)):
-        known = chord_before if i == 0 else chord[i - 1]
-        if _alike_fast(chord[i], only[i + 1], known, only[i]):
+    here, there, weights = np.empty(axes), np.empty(axes), np.ones(axes)
+    for i in range(len(points) - 1):
+        if _same_chord_fast(chord[i + 1], common[i + 1], chord[i], common[i]):
             continue
         low, high = min(begin[i], begin[i + 1]), max(end[i], end[i + 1])
         for r in range(points.shape[2]):
-            left_from = only[i] if only[i] >= 0 else known[r]
-            led_to = only[i + 1] if only[i + 1] >= 0 else chord[i, r]
-            if led_to == left_from:
+            near_start = common[i] if common[i] >= 0 else chord[i, r]
+            near_end = common[i + 1] if common[i + 1] >= 0 else chord[i + 1, r]
+            if near_end == near_start:
                 continue
             for a in range(axes):
-                here[a] = before[a, r] if i == 0 else points[i - 1, a, r]
-                there[a] = points[i, a, r]
+                here[a] = points[i, a, r]
+                there[a] = points[i + 1, a, r]
                 if len(share):
-                    of[a] = share[i, a, r]
-            look_between(
-                here, there, low, high, left_from, led_to, vertices, of,
-                worst, at, part, worst_chord, r, number + i,
-            )  # fmt: skip
+                    weights[a] = share[i, a, r]
+            search = Search(vertices, low, high, near_start, near_end)
+            search_segment(here, there, weights, search, farthest, r, number + i)
 
 
 def _charge_trailing(
     points: FloatArray,
-    begin: IntArray,
-    end: IntArray,
+    candidates: Candidates,
     left: FloatArray,
     vertices: FloatArray,
     share: FloatArray,
-    squared: FloatArray,
-    chord: IntArray,
-    only: IntArray,
+    nearest: Nearest,
 ) -> None:
-    """Raise ``squared``, (n, runs), where the nearest place is one that the command left too early.
+    """Raise the squared distance of a sample that is nearest to a place it should have left.
 
     ``left`` is the share of chord ``begin[i]`` that the command had left behind by the lag before
-    sample i. ``only`` is the nearest chord of all runs, or -1 if ``chord`` has one for each run.
-    ``share``, (n, axes, runs), weighs the axes; empty means equal weights.
+    sample i. ``share``, (n, axes, runs), weights the axes; empty means equal weights.
     """
+    begin, end = candidates
+    squared, chord, common = nearest
     axes = points.shape[1]
-    point, of, start = np.empty(axes), np.ones(axes), np.empty(axes)
+    point, weights, start = np.empty(axes), np.ones(axes), np.empty(axes)
     for i in range(len(points)):
         first = begin[i]
-        if left[i] <= 0.0 or only[i] > first:
+        if left[i] <= 0.0 or common[i] > first:
             continue
         for r in range(points.shape[2]):
-            if only[i] < 0 and chord[i, r] != first:
+            if common[i] < 0 and chord[i, r] != first:
                 continue
             along, length = 0.0, 0.0
             for a in range(axes):
                 if len(share):
-                    of[a] = share[i, a, r]
-                way = of[a] * (vertices[first, a] - vertices[first - 1, a])
-                along += of[a] * (points[i, a, r] - vertices[first - 1, a]) * way
-                length += way * way
+                    weights[a] = share[i, a, r]
+                step = weights[a] * (vertices[first, a] - vertices[first - 1, a])
+                along += weights[a] * (points[i, a, r] - vertices[first - 1, a]) * step
+                length += step * step
             if along >= left[i] * length:
                 continue
             for a in range(axes):
                 point[a] = points[i, a, r]
-                way = vertices[first, a] - vertices[first - 1, a]
-                start[a] = vertices[first - 1, a] + left[i] * way
-            least = weighed_to_segment(point, start, vertices[first], of)
+                step = vertices[first, a] - vertices[first - 1, a]
+                start[a] = vertices[first - 1, a] + left[i] * step
+            least = weighted_to_segment(point, start, vertices[first], weights)
             for c in range(first + 1, end[i] + 1):
-                least = min(least, weighed_to_segment(point, vertices[c - 1], vertices[c], of))
+                away = weighted_to_segment(point, vertices[c - 1], vertices[c], weights)
+                least = min(least, away)
             squared[i, r] = max(least, squared[i, r])
 
 
 nearest_chords_each = njit(nogil=True)(_nearest_chords)
 charge_trailing = njit(nogil=True)(_charge_trailing)
-between = njit(nogil=True)(_between)
+raise_to_segments = njit(nogil=True)(_raise_to_segments)
 
 
 def nearest_chords(
@@ -376,7 +439,7 @@ def nearest_chords(
     samples, axes, runs = points.shape
     squared = np.empty((samples, runs))
     chord = np.empty((samples, runs), dtype=np.int64)
-    way, length = chord_vectors(vertices)
-    each, shares = (0,) * axes, points[:0] if share is None else share
-    nearest_chords_each(points, begin, end, vertices, way, length, each, shares, squared, chord)
+    shares, candidates = points[:0] if share is None else share, Candidates(begin, end)
+    chords = chords_of(vertices)
+    nearest_chords_each(points, candidates, chords, (0,) * axes, shares, squared, chord)
     return squared, chord

@@ -41,7 +41,7 @@ class Stitches:
     Parameters
     ----------
     operation, line
-        (n,) move of each stitch, and its line.
+        (n,) operation and job line of each stitch.
     contour
         (n,) number of its contour; the first stitch of a contour has ``first``.
     first, exempt
@@ -56,13 +56,13 @@ class Stitches:
         (n,) wanted length, and programmed time of one turn of the needle; for a needle that follows
         the head, the planned time from the departure of the head.
     slowest_hz, fastest_hz
-        (n,) speed range of a needle that follows the head; NaN for any other.
+        (n,) speed range of a needle that follows the head; NaN for any other needle.
     most_hz_s
         (n,) largest change rate of such a needle's speed, stitch/s^2; NaN without a limit.
     departs, stops
         (n,) bool: the head rests before the stitch, and after it.
     from_m, to_m
-        (n,) stretch of the drawn line that each covers; NaN without a drawing.
+        (n,) stretch of the drawn line that each stitch covers; NaN without a drawing.
     """
 
     operation: IntArray
@@ -106,7 +106,7 @@ _FOUND: WeakKeyDictionary[Plan, KeptStream[Stitches]] = WeakKeyDictionary()
 
 
 def has_stitches(job: Job) -> bool:
-    """Return whether the moves of a job have the tags of a seam's stitches; reads up to the first.
+    """Return whether the moves of a job have the tags of stitches; reads up to the first stitch.
 
     A seam begins with a tool event ``sew``. Part programs may name tags of their own, such as
     ``stitch``, without being seams.
@@ -204,7 +204,7 @@ class _Moves:
     Parameters
     ----------
     operation, line, target, period_s
-        (n,) number in the job and line, (n, axes), (n,).
+        (n,) number in the job, (n,) job line, (n, axes) end, and (n,) programmed time.
     begins, ends
         (n,) bool: the head rests before the move, and after it.
     sewn, tags
@@ -285,7 +285,7 @@ def _runs(job: Job) -> Iterator[_Moves]:
 
 
 class _Moving:
-    """The pieces that move: the needle is down when a stitch ends, before any rest there.
+    """The pieces of a trajectory that move: the needle is down before any rest after a stitch.
 
     Parameters
     ----------
@@ -323,7 +323,7 @@ class _Moving:
         """Return (n,) departure times of the head for stitches that begin with a rest.
 
         ``from_s`` and ``until_s`` are (n,) the times at the start and end of each stitch. Rests
-        before the last of them are discarded.
+        before the last end are discarded.
         """
         found = np.array(from_s)
         departs = np.array(self._departs_s)

@@ -26,7 +26,7 @@ ALLOWED_SHARE = 0.1
 """Share of a velocity limit by which a recording may exceed it."""
 OVER_S = 0.02
 """Time over which the velocity of a recording is averaged, against noise of its positions."""
-_JUMP = 2.0  # times a velocity limit: no machine is that fast, but missing samples look so
+_JUMP = 2.0  # times a velocity limit: a faster motion comes from missing samples
 _PLACEMENT = "contour_error"
 _PLACED_M = 1e-3  # placement tolerance at the tool, without a specification
 _POSITIONS = (ChannelKind.TOOL, ChannelKind.LOAD, ChannelKind.MEASURED)
@@ -163,8 +163,8 @@ def with_recording(
     result
         Result of the plan, with its limit.
     shown
-        Whether a pass of the recording is shown in place of the plan's: of complete recordings of a
-        real machine.
+        Whether a pass of the recording is shown in place of the plan's result, as for complete
+        recordings of a real machine.
     """
     of_plan = replace(result, of="plan")
     kind = {one.name: one for one in (TRAVEL, VELOCITY)}.get(result.name)

@@ -64,10 +64,10 @@ class _Timed:
     def __init__(self, run: Run, kinds: Mapping[Key, MeasureKind], together: bool) -> None:
         self.begun = _Begun(run, kinds, together)
         self._blocks = self.begun.blocks()
-        self._operation: IntArray = np.empty(0, dtype=np.int64)  # samples not asked for yet
+        self._operation: IntArray = np.empty(0, dtype=np.int64)  # of samples not requested yet
 
     def operations(self, count: int) -> IntArray:
-        """Read on until ``count`` more samples have operations; return these."""
+        """Read until ``count`` more samples are known; return their operations."""
         while len(self._operation) < count:
             block = next(self._blocks)
             assert block.operation is not None
@@ -81,7 +81,7 @@ class _Timed:
             pass
 
     def leave(self) -> None:
-        """Stop reading; nothing is kept for it."""
+        """Stop reading, so that no blocks are kept for it."""
         self.begun.run.leave()
 
 
@@ -134,8 +134,8 @@ def read_all(passes: Sequence[Pass], together: Sequence[MeasureOfRuns]) -> None:
     Parameters
     ----------
     together
-        Measures of all runs: if there are any, the run that is furthest behind is read next, so
-        that none gets far ahead of another.
+        Measures of all runs. If there are any, the run that is furthest behind is read next, so
+        that no run gets far ahead of another.
     """
     readers = dict(enumerate(one.blocks() for one in passes))
     taken = dict.fromkeys(readers, 0)

@@ -17,12 +17,12 @@ if TYPE_CHECKING:
     from threadline.winding.raster import Raster
 
 NEVER_KNOWN = "the fibre is never known"
-_FEW = 0.01  # share of the laid fibre; less than this may lie anywhere
-_OUTLINE = 8193  # places of the meridian among which the widest is searched
+_FEW = 0.01  # share of the laid fibre: a smaller share of unknown place is not mentioned
+_OUTLINE = 8193  # points of the meridian among which the widest is searched
 
 
 def raster_bytes(plan: Plan) -> int:
-    """Return the memory, bytes, in which the coverage of a run is followed; 0 without coverage."""
+    """Return the memory, bytes, that the coverage of a run needs; 0 without coverage."""
     job = wound_job(plan)
     return 0 if job is None or job.product.covered is None else _raster_of(job).nbytes
 
@@ -41,7 +41,7 @@ class Covering:
         self._worst = Worst(len(jobs), axes, note=NEVER_KNOWN)
         self._rasters = [_raster_of(job) for job in jobs]
         self._last = [np.nan for _ in jobs]
-        self._laid = np.zeros((len(jobs), 2))  # length in all, and of an unknown place, m
+        self._laid = np.zeros((len(jobs), 2))  # m: all fibre, and fibre of unknown place
 
     def take(self, runs: Sequence[Wound]) -> None:
         """Lay the bands of the next samples of every run."""
@@ -56,7 +56,7 @@ class Covering:
             raster.lay(fibre.u, fibre.angle, fibre.winding, fibre.known, lines)
 
     def found(self) -> RunFindings:
-        """Return the largest gap of each run, beside the operation that laid the band there."""
+        """Return the largest gap of each run, with the operation that laid the band there."""
         gaps = [raster.gap() for raster in self._rasters]
         self._worst.offer(
             np.array([gap.width_m for gap in gaps]),
@@ -72,9 +72,9 @@ class Covering:
         return self._worst.found()
 
     def _unknown(self, run: int, gap_m: float) -> str:
-        """Say how much of the fibre is missing on the raster because its place is not known.
+        """Return in words how much fibre is missing on the raster because its place is unknown.
 
-        It covers nothing: it may lie in a gap, and without a gap the rest covers everything.
+        Such fibre covers nothing: it may lie in a gap. Without a gap the rest covers everything.
         """
         laid, unknown = self._laid[run]
         if not unknown > _FEW * laid:
@@ -87,7 +87,7 @@ class Covering:
 
 
 def middle_of(surface: Surface) -> float:
-    """Return the place u, m, in the middle of where a mandrel is widest."""
+    """Return the place u, m, in the middle of the widest part of a mandrel."""
     u = np.linspace(0.0, surface.length_m, _OUTLINE)
     r = surface.at(u)[1][:, 0]
     return float(np.median(u[r > r.max() * (1.0 - 1e-9)]))
@@ -96,7 +96,7 @@ def middle_of(surface: Surface) -> float:
 class Closing:
     """How far a pattern is from its closure: where one more circuit would lie beside the first.
 
-    A circuit begins where the fibre crosses the middle of the widest place from left to right.
+    A circuit begins where the fibre crosses the middle of the widest part from left to right.
     """
 
     def __init__(self, jobs: Sequence[WoundJob], axes: int) -> None:
@@ -137,7 +137,7 @@ class Closing:
         return self._radius_m[run]
 
     def found(self) -> RunFindings:
-        """Return the distance of each run across the bands, at the last circuit."""
+        """Return for each run the distance from closure across the bands, at the last circuit."""
         from threadline.winding.fit import turn_error
 
         values, operations, notes = [], [], []

@@ -1,4 +1,4 @@
-"""Places of the command that the tools of many runs can have reached, sample by sample."""
+"""Places along the command that the tools of many runs can have reached, sample by sample."""
 
 from __future__ import annotations
 
@@ -11,16 +11,56 @@ from threadline.base.compiled import njit
 from threadline.verdict.bow import NO_BETWEEN, Between
 from threadline.verdict.boxes import MORE, Boxes
 
-CEILING = 4.0  # times the largest squared error: a worse trailing place is dropped
+CEILING = 4.0  # times the largest squared error: a trailing place with a larger value is dropped
+
+
+class Command(NamedTuple):
+    """The command as segments: segment k leads from row k - 1 to row k.
+
+    ``points``, ``vector`` and ``heading`` are (m, axes): positions at the tool, the vector of each
+    segment, and the direction of motion there, which a rest keeps. ``inverse``, (m,), is 1 over the
+    squared ``length`` of each segment.
+    """
+
+    points: FloatArray
+    vector: FloatArray
+    inverse: FloatArray
+    length: FloatArray
+    heading: FloatArray
+
+
+class _Place(NamedTuple):
+    """Segment ``k`` of the command: it begins at row ``start`` and is ``length`` m long.
+
+    Of the first place within the lag only the end counts: then ``start`` is ``k``, and ``length``
+    and ``inverse`` are 0.
+    """
+
+    k: int
+    start: int
+    inverse: float
+    length: float
+
+
+class _Values(NamedTuple):
+    """Values of each run at a place, (runs,) squared; see ``_advance``.
+
+    ``carry`` is the previous value at the beginning of the place, ``row`` at its end. ``least`` is
+    the least value of this place and the places before.
+    """
+
+    carry: FloatArray
+    row: FloatArray
+    least: FloatArray
 
 
 def _given_up(
     value: FloatArray, row: int, long: float, ceiling: float, dropped: FloatArray
 ) -> bool:
-    """Return whether all values of a row exceed the ceiling; if so lower ``dropped`` to them.
+    """Return whether all values of a row exceed the ceiling; if so, lower ``dropped`` to them.
 
     The ceiling is compared with the least value reachable in the next place, ``long`` m long: the
-    root of the value falls with the distance.
+    root of the value decreases by the distance.
     """
     least, near = np.sqrt(ceiling) + long, 0
     for r in range(len(dropped)):
@@ -37,42 +77,39 @@ _given_up_fast = njit(nogil=True)(_given_up)
 
 
 def _ahead(
-    point: FloatArray, start: FloatArray, way: FloatArray, per_length: float, heading: FloatArray
+    point: FloatArray, start: FloatArray, vector: FloatArray, inverse: float, heading: FloatArray
 ) -> float:
-    """Return how far a point is from the nearest place of a segment, along a heading."""
+    """Return how far a point is ahead of the nearest place of a segment, along a heading.
+
+    ``inverse`` is 1 over the squared length of ``vector``, or 0: then only ``start`` counts.
+    """
     length, along = 0.0, 0.0
     for a in range(len(point)):
-        length += (point[a] - start[a]) * way[a]
-    where = min(max(length * per_length, 0.0), 1.0)
+        length += (point[a] - start[a]) * vector[a]
+    where = min(max(length * inverse, 0.0), 1.0)
     for a in range(len(point)):
-        along += (point[a] - start[a] - where * way[a]) * heading[a]
+        along += (point[a] - start[a] - where * vector[a]) * heading[a]
     return along
 
 
 ahead = njit(nogil=True)(_ahead)
 
 
-def _bounds(
-    lower: FloatArray,
-    upper: FloatArray,
-    i: int,
-    command: FloatArray,
-    start: int,
-    way: FloatArray,
-    k: int,
-    per_length: float,
-) -> tuple[float, float]:
-    """Return a lower and an upper bound of the distance of box i to segment k, both squared."""
+def _bounds(boxes: Boxes, i: int, command: Command, place: _Place) -> tuple[float, float]:
+    """Return a lower and an upper bound of the squared distance of box i to a place."""
+    _, lower, upper, _, _ = boxes
+    points, vector, _, _, _ = command
+    k, start, inverse, _ = place
     middle, half = 0.0, 0.0
-    for a in range(way.shape[1]):
-        place = 0.5 * (lower[i, a] + upper[i, a])
-        middle += (place - command[start, a]) * way[k, a]
+    for a in range(vector.shape[1]):
+        centre = 0.5 * (lower[i, a] + upper[i, a])
+        middle += (centre - points[start, a]) * vector[k, a]
         half += (0.5 * (upper[i, a] - lower[i, a])) ** 2
-    nearest = min(max(middle * per_length, 0.0), 1.0)
+    nearest = min(max(middle * inverse, 0.0), 1.0)
     away = 0.0
-    for a in range(way.shape[1]):
-        place = 0.5 * (lower[i, a] + upper[i, a])
-        away += (place - command[start, a] - nearest * way[k, a]) ** 2
+    for a in range(vector.shape[1]):
+        centre = 0.5 * (lower[i, a] + upper[i, a])
+        away += (centre - points[start, a] - nearest * vector[k, a]) ** 2
     away, half = np.sqrt(away), np.sqrt(half)
     return max(away - half, 0.0) ** 2 / MORE, MORE * (away + half) ** 2
 
@@ -81,58 +118,53 @@ _bounds_fast = njit(nogil=True)(_bounds)
 
 
 def _stay_at(
-    points: FloatArray,
+    point: FloatArray,
     off: FloatArray,
-    i: int,
-    command: FloatArray,
-    start: int,
-    way: FloatArray,
-    k: int,
-    per_length: float,
-    long: float,
+    command: Command,
+    place: _Place,
     axes: tuple[int, ...] | FloatArray,
-    value: FloatArray,
-    row: int,
-    carry: FloatArray,
-    least: FloatArray,
+    values: _Values,
     worst: FloatArray,
     limit: float,
 ) -> tuple[int, int]:
-    """Advance ``row`` of ``value``, the row of place k, by sample i, and ``carry``, ``least``.
+    """Advance the values of a place by one sample, (axes, runs), at ``off`` from the path.
 
     Return the number of runs in which the least of all places so far is at most ``limit``, and in
     which it exceeds ``worst``. ``axes`` is a tuple with one entry per axis: its length is known at
     compile time, and loops over axes are unrolled.
 
-    The values at the place's beginning and end were ``carry`` and ``row``'s. From the beginning on
-    the root of the value falls with the distance, down to the value at the end. So the least is
-    where the tool is nearest, or farther on, where its growing distance meets the falling root.
+    From the beginning of the place on, the root of the value decreases by the distance, down to the
+    value at the end. So the least value is where the tool is nearest, or farther on, where its
+    growing distance meets the decreasing root.
     """
+    points, vector, _, _, _ = command
+    k, start, inverse, length = place
+    carry, row, least = values
     near, farther = 0, 0
     for r in range(len(carry)):
-        left, held = carry[r], value[row, r]
+        left, held = carry[r], row[r]
         along = 0.0
         for a in range(len(axes)):
-            along += (points[i, a, r] - command[start, a]) * way[k, a]
-        place = along * per_length
-        where = place if place > 0.0 else 0.0
+            along += (point[a, r] - points[start, a]) * vector[k, a]
+        share = along * inverse
+        where = share if share > 0.0 else 0.0
         where = where if where < 1.0 else 1.0
         away = 0.0
         for a in range(len(axes)):
-            gap = points[i, a, r] - command[start, a] - where * way[k, a]
+            gap = point[a, r] - points[start, a] - where * vector[k, a]
             away += gap * gap
-        error = away - off[i, r]
-        behind = np.sqrt(left) - where * long
-        beside, room = (where - place) * long, (1.0 - where) * long
+        error = away - off[r]
+        behind = np.sqrt(left) - where * length
+        beside, room = (where - share) * length, (1.0 - where) * length
         on = (behind * behind - error) / (2.0 * (behind + beside))
-        on = on if on < room else room  # room too where it is not a number
+        on = on if on < room else room  # room too where it is NaN
         on = on if on > 0.0 else 0.0
         on = on if behind > 0.0 and behind * behind > error else 0.0
         error += on * (2.0 * beside + on)
         error = error if error > held else held
         carry[r] = held
         least[r] = error if error < least[r] else least[r]
-        value[row, r] = least[r]
+        row[r] = least[r]
         near += least[r] <= limit
         farther += least[r] > worst[r]
     return near, farther
@@ -145,16 +177,12 @@ class ProgressPart(NamedTuple):
     """Arrays that a sweep over a block reads and updates for the progress error: see ``_advance``.
 
     Place ``first`` belongs to the first sample of the block, which has the number ``number``.
-    ``inverse`` is 1 over the squared ``length`` of each place. ``places`` are the first and the
-    last place with a value; ``ceiling`` has one entry. ``charge``, (runs,), is how far the way may
-    leave the line between two samples (``bow.charge_ways``).
+    ``places`` are the first and the last place with a value; ``ceiling`` has one entry.
+    ``charge``, (runs,), bounds the deviation of the path from the straight segment between two
+    samples (``bow.charge_bows``).
     """
 
-    command: FloatArray
-    way: FloatArray
-    inverse: FloatArray
-    length: FloatArray
-    heading: FloatArray
+    command: Command
     first: int
     number: int
     lag: int
@@ -184,30 +212,31 @@ def _advance(  # noqa: PLR0915 - one loop over the places; each call would be co
 
     Places before the first of ``places`` have no value; those after the last have its value. The
     first place with a value is dropped if it exceeds ``ceiling`` in every run, together with the
-    segment from its end to where the value may have fallen to the ceiling: ``dropped`` is the least
-    dropped value of each run, or a lower bound from the box of all runs. As long as it exceeds
-    ``worst``, nothing was lost: the ceiling stays at least four times the largest ``worst``.
+    segment from its end to where the value may have decreased to the ceiling: ``dropped`` is the
+    least dropped value of each run, or a lower bound from the box of all runs. As long as it
+    exceeds ``worst``, the result is exact: the ceiling stays at least four times the largest
+    ``worst``.
 
     A value of at most ``worst`` is as good as 0, for it cannot change the result. Only the last
-    place can have one in every run: it is settled. If the box of all runs shows that the next place
-    stays so, it is skipped, and its value is 0 from then on.
+    place can have such a value in every run: it is settled. If the box of all runs shows that the
+    next place stays settled, it is skipped, and its value is 0 from then on.
 
     Loops over the axes of a place are compiled for two axes, for three, and for any number; the
     rest is compiled once.
     """
     # Each tuple access would count references.
-    known, lower, upper, _, _ = boxes
     (
-        command, way, inverse, length, heading, first, number, lag, places, value, worst, at, side,
-        ceilings, dropped, _, _,
+        command, first, number, lag, places, value, worst, at, side, ceilings, dropped, _, _,
     ) = part  # fmt: skip
+    known, _, _, _, _ = boxes
+    commanded, vector, inverse, length, heading = command
     samples, axes, runs = points.shape
     rows, origin = len(value), number - first
     first, number = first + beginning, number + beginning
     low, high, ceiling = places[0], places[1], ceilings[0]
     carry, least = np.empty(runs), np.empty(runs)
     near = np.zeros(rows, dtype=np.int64)  # for each place, number of runs that need it
-    settled, raised, floor, lost, farther = False, known, 0.0, np.inf, 0
+    settled, raised, floor, skipped, farther = False, known, 0.0, np.inf, 0
     for i in range(samples):
         last = first + i
         begin = max(last - lag, 0)
@@ -227,8 +256,7 @@ def _advance(  # noqa: PLR0915 - one loop over the places; each call would be co
         k, farther = low, 0
         while True:
             # Only the end of the first place is within the lag.
-            start = k - 1 if k > begin else k
-            per_length, long = (inverse[k], length[k]) if k > begin else (0.0, 0.0)
+            place = _Place(k, k - 1, inverse[k], length[k]) if k > begin else _Place(k, k, 0.0, 0.0)
             limit = (np.sqrt(ceiling) + (length[k + 1] if k < last else 0.0)) ** 2
             row = (origin + k) % rows
             if k > high:
@@ -236,9 +264,7 @@ def _advance(  # noqa: PLR0915 - one loop over the places; each call would be co
                     value[row, r] = carry[r]
             apart, across = 0.0, np.inf
             if known:
-                apart, across = _bounds_fast(
-                    lower, upper, i + 1, command, start, way, k, per_length
-                )
+                apart, across = _bounds_fast(boxes, i + 1, command, place)
             if k > high and settled and across <= floor:
                 for r in range(runs):
                     value[row, r] = 0.0
@@ -249,27 +275,25 @@ def _advance(  # noqa: PLR0915 - one loop over the places; each call would be co
                 for r in range(runs):
                     near[row] += apart - off[i, r] <= limit
                 if not near[row]:  # dropped without a value
-                    lost = min(lost, ceiling)
+                    skipped = min(skipped, ceiling)
                     for r in range(runs):
                         carry[r] = value[row, r]
                     low, k = low + 1, k + 1
                     continue
+            values = _Values(carry, value[row], least)
             if axes == 3:
                 near[row], farther = _stay_at_fast(
-                    points, off, i, command, start, way, k, per_length, long, (0, 0, 0), value, row,
-                    carry, least, worst, limit,
-                )  # fmt: skip
+                    points[i], off[i], command, place, (0, 0, 0), values, worst, limit
+                )
             elif axes == 2:
                 near[row], farther = _stay_at_fast(
-                    points, off, i, command, start, way, k, per_length, long, (0, 0), value, row,
-                    carry, least, worst, limit,
-                )  # fmt: skip
+                    points[i], off[i], command, place, (0, 0), values, worst, limit
+                )
             else:
                 near[row], farther = _stay_at_fast(
-                    points, off, i, command, start, way, k, per_length, long, way[k], value, row,
-                    carry, least, worst, limit,
-                )  # fmt: skip
-            # Where every run has been good enough no later place is better.
+                    points[i], off[i], command, place, vector[k], values, worst, limit
+                )
+            # If every run is good enough, no later place is better.
             if k == last or not farther:
                 break
             k += 1
@@ -286,8 +310,8 @@ def _advance(  # noqa: PLR0915 - one loop over the places; each call would be co
                     start = k - 1 if k > begin else k
                     side[r] = ahead(
                         points[i, :, r],
-                        command[start],
-                        way[k],
+                        commanded[start],
+                        vector[k],
                         inverse[k] if k > begin else 0.0,
                         heading[k],
                     )
@@ -298,9 +322,9 @@ def _advance(  # noqa: PLR0915 - one loop over the places; each call would be co
             if not _given_up_fast(value, row, length[low + 1], ceiling, dropped):
                 break
             low += 1
-    if lost < np.inf:
+    if skipped < np.inf:
         for r in range(runs):
-            dropped[r] = min(dropped[r], lost)
+            dropped[r] = min(dropped[r], skipped)
     places[0], places[1], ceilings[0] = low, high, ceiling
 
 

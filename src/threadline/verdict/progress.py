@@ -14,8 +14,8 @@ from threadline.files import Clock, Event
 from threadline.verdict.nearest import lengths_squared
 from threadline.verdict.window import PathWindow
 
-_SAME_M = 1e-6  # the least difference of two distances from a command that tells chords apart
-_SAME_WAY = 1e-9  # of a step: what rounding does to its component along a chord
+_SAME_M = 1e-6  # two chords are equally near to a command if their distances differ by less
+_SAME_STEP = 1e-9  # of a step: rounding of its component along a chord
 
 
 def _squared(points: FloatArray, i: int, vertices: FloatArray, chord: int) -> float:
@@ -85,11 +85,11 @@ def _refine(
             nearer = own - np.sqrt(_squared_fast(points, i, vertices, other))
             if nearer < -same_m:
                 continue
-            if ahead == -np.inf:  # not yet looked for: seldom is a neighbour as near
+            if ahead == -np.inf:  # not computed yet: a neighbour is seldom as near
                 for c in range(low, high + 1):
                     if np.sqrt(_squared_fast(points, i, vertices, c)) <= own + same_m:
                         ahead = max(ahead, _along_fast(points, before, i, vertices, c))
-                ahead += _SAME_WAY * _step_m_fast(points, before, i)
+                ahead += _SAME_STEP * _step_m_fast(points, before, i)
             if nearer > same_m or _along_fast(points, before, i, vertices, other) > ahead:
                 if side == 0:
                     first[i] = other
@@ -101,11 +101,11 @@ _refine_fast = njit(nogil=True)(_refine)
 
 
 def shares_of(points: FloatArray, chord: IntArray, path: PathWindow) -> FloatArray:
-    """Return (n,) shares of the chords to the places nearest to (n, axes) points, at the tool."""
+    """Return (n,) shares of the chords at their nearest places to (n, axes) points, at the tool."""
     start = path.vertices[chord - path.first - 1]
-    way = path.vertices[chord - path.first] - start
-    length = lengths_squared(way)
-    along = ((points - start) * way).sum(axis=1) / np.where(length > 0.0, length, 1.0)
+    vector = path.vertices[chord - path.first] - start
+    length = lengths_squared(vector)
+    along = ((points - start) * vector).sum(axis=1) / np.where(length > 0.0, length, 1.0)
     return np.asarray(np.clip(along, 0.0, 1.0))
 
 
@@ -120,9 +120,9 @@ def chords_under_way(
 
     These are the chords of its operation, and a neighbour if the command is nearer to it, or
     equally near and moving along it: a blend round a corner has one operation but follows two.
-    Commands are whole counts, so a difference of less than a count makes no chord the nearer one:
-    a command that ends a fraction of a count beyond the last chord of a retraced line is not on
-    the chord before.
+    Commands are whole counts, so chords whose distances differ by less than a count are equally
+    near: a command that ends a fraction of a count beyond the last chord of a retraced line is not
+    on the chord before.
 
     Parameters
     ----------
@@ -133,9 +133,9 @@ def chords_under_way(
     commanded
         (n, axes) lengths at the tool; None if the command was not recorded.
     before
-        (axes,) the command before these; None at the start.
+        (axes,) the previous command; None at the start.
     resolution_m
-        Length at the tool of one count in every axis.
+        Length at the tool of a step of one count in every axis.
     """
     first, last = own[0].copy(), np.maximum(*own)
     if commanded is not None and np.isfinite(commanded).all():
@@ -153,9 +153,9 @@ _ROUNDING = 1e-9  # of a period: an instant this close to a tick is that tick
 class PlanClock:
     """Follows the ``plan`` events of a recording, in bounded memory.
 
-    Without events the plan's time equals the recording's. After an event it advances with the
-    clock, or at the rate that the event names, or stands still if the previous event had the same
-    plan time within ``_ROUNDING`` of a period. It never goes back.
+    Without events the plan's time equals the recording's time. After an event it advances with the
+    clock, or at the rate that the event names. It stands still if the previous event had the same
+    plan time, within ``_ROUNDING`` of a period. It never goes back.
 
     Parameters
     ----------
@@ -180,7 +180,7 @@ class PlanClock:
         Raises
         ------
         RecordingError
-            If they go back in time, or give a time that no plan has.
+            If events go back in time, or name a time outside any plan.
         """
         plans = [event for event in events if event.kind == "plan"]
         if not plans:
@@ -231,12 +231,12 @@ class PlanClock:
 
 
 def _rate_of(event: Event) -> float:
-    """Return how fast the plan's time advances after an event that does not let it stand.
+    """Return the rate at which the plan's time advances after an event that does not stop it.
 
     Raises
     ------
     RecordingError
-        If the name of the event is no rate from 0 to 1.
+        If the name of the event is not a rate from 0 to 1.
     """
     if not event.name:
         return 1.0

@@ -17,17 +17,17 @@ from threadline.verdict.boxes import NO_BOXES
 from threadline.verdict.finding import Finding, RunFindings, Worst
 from threadline.verdict.measure import Measure, SweptMeasure
 from threadline.verdict.nearest import chord_vectors, lengths_squared
-from threadline.verdict.places import CEILING, ProgressPart, move_on
+from threadline.verdict.places import CEILING, Command, ProgressPart, move_on
 from threadline.verdict.samples import Block, Setting
 from threadline.verdict.window import PathWindow
 
 COMMAND_BY_TIME = "command from the plan by time"
 """Note of a result that was measured against the plan, for lack of a recorded command."""
 _ROUNDING = 1e-9  # of the time between two samples
-_AT_ONCE = 4096  # samples whose ticks are looked at together
+_AT_ONCE = 4096  # samples whose ticks are computed together
 _LATEST = local()
-"""The trajectory that a recording of many runs had to be read again for, and the ceiling, m^2,
-with which the next recording of it need not be."""
+"""Trajectory of the last recording of many runs that had to be read twice, and the ceiling, m^2,
+that spares the next recording of it the second reading."""
 
 
 class _Progress(SweptMeasure):
@@ -42,15 +42,16 @@ class _Progress(SweptMeasure):
     Without a recorded command for every axis, the plan at the same instant takes its place.
 
     Lengths are at the tool, over all axes, rotary ones times their radius. Tool and command are
-    taken as straight between samples, so that on a straight piece of the path the result does not
-    depend on the sampling rate. Where the velocities of the loads are known, the most by which the
-    tool may have left such a line is added: a tool that moves on along it at any speed has not.
-    Where samples are further apart than a tick, the finding says how far the command leaves its
-    line: by so much the tool may seem ahead of a command that turned between two samples.
+    taken as straight between samples, so on a straight piece of the path the result does not depend
+    on the sampling rate. If the velocities of the loads are known, a bound of the tool's deviation
+    from its segments is added; a tool that advances along its segment, at any speed, does not
+    deviate. If samples are further apart than a tick, the finding states how far the command
+    deviates from its segments: by this distance the tool may seem ahead of a command that turned
+    between two samples.
 
-    With many runs, places far behind all of them are dropped while the recording is read. If one of
-    them might have been the better match, the recording is read again with every place kept. The
-    next runs of the same plan keep places as far behind as these runs needed.
+    With many runs, places far behind all of them are dropped while the recording is read. If a
+    dropped place might have been the better match, the recording is read again with every place
+    kept. The next runs of the same plan keep places as far behind as these runs needed.
     """
 
     def __init__(self, setting: Setting, *, every_place: bool = False) -> None:
@@ -73,7 +74,7 @@ class _Progress(SweptMeasure):
         self._at: IntArray = np.zeros(runs, dtype=np.int64)
         self._side: FloatArray = np.zeros(runs)
         self._worst = Worst(runs, axes, note="the recording is empty")
-        self._ways, self._charge = MotionBetween(setting), np.zeros(runs)
+        self._between, self._charge = MotionBetween(setting), np.zeros(runs)
         self._trajectory = setting.plan.motion.trajectory
         self._columns = [self._trajectory.axes.index(axis) for axis in setting.axes]
         self._planned: TrajectoryReader | None = None
@@ -85,20 +86,22 @@ class _Progress(SweptMeasure):
         self._turns.take(block.due_s)
         first = len(self._command)
         command = np.concatenate([self._command, fresh])
-        way, length = chord_vectors(command)
+        vector, squared = chord_vectors(command)
         stood = steady[:1] if self._stood is None else self._stood
         self._stood = steady[-1:]
         departs = np.diff(steady, axis=0, prepend=stood)
         heading = np.concatenate([self._heading, _headings(self._heading, departs)])
         self._command, self._heading = command, heading
         if np.isfinite(self._ceiling[0]):
-            self._ceiling[0] = max(self._ceiling[0], lengths_squared(way).max())
+            self._ceiling[0] = max(self._ceiling[0], lengths_squared(vector).max())
         return ProgressPart(
-            command=command,
-            way=way,
-            inverse=1.0 / length,
-            length=np.sqrt(lengths_squared(way)),
-            heading=heading,
+            command=Command(
+                points=command,
+                vector=vector,
+                inverse=1.0 / squared,
+                length=np.sqrt(lengths_squared(vector)),
+                heading=heading,
+            ),
             first=first,
             number=self._number,
             lag=self._lag,
@@ -109,7 +112,7 @@ class _Progress(SweptMeasure):
             side=self._side,
             ceiling=self._ceiling,
             dropped=self._dropped,
-            between=self._ways.part(block),
+            between=self._between.part(block),
             charge=self._charge,
         )
 
@@ -133,7 +136,7 @@ class _Progress(SweptMeasure):
 
     def finish(self) -> Sequence[RunFindings]:
         """Return the least error with which the tool can have reached any place by the end."""
-        if self._ways.lost:
+        if self._between.incomplete:
             return [RunFindings.alike(Finding(value=None, note=NO_VELOCITY), len(self._charge))]
         if (self._dropped <= self._squared).any():
             return self._again()
@@ -177,9 +180,9 @@ class _Progress(SweptMeasure):
 
 
 class _Turns:
-    """How far the planned command leaves the straight line between two samples, at the tool.
+    """Largest deviation, at the tool, of the planned command from the segment between two samples.
 
-    It is looked at in each tick between them. Samples at each tick have nothing between them.
+    It is computed at each tick between them. With samples at each tick it is 0.
     """
 
     def __init__(self, setting: Setting) -> None:
@@ -204,36 +207,36 @@ class _Turns:
             times = np.append(between.ravel(), part[-1])
             places = self._reader.ladder(times, 1)[:, 0, self._columns] * self._radius_m
             self._reader.drop(float(part[-1]))
-            self.most_m = max(self.most_m, _beside(places, len(self._share)))
+            self.most_m = max(self.most_m, _deviation(places, len(self._share)))
 
 
-def _beside(places: FloatArray, parts: int) -> float:
-    """Return the largest distance of (n parts + 1, axes) places from the line of their part."""
+def _deviation(places: FloatArray, parts: int) -> float:
+    """Return the largest distance of (n parts + 1, axes) places from the segments of ``parts``."""
     start, end = places[:-1:parts, None], places[parts::parts, None]
-    away, way = places[:-1].reshape(len(start), parts, -1) - start, end - start
-    length = np.maximum((way**2).sum(axis=2), np.finfo(np.float64).tiny)
-    along = np.clip((away * way).sum(axis=2) / length, 0.0, 1.0)
-    return float(np.sqrt(((away - along[..., None] * way) ** 2).sum(axis=2).max()))
+    away, vector = places[:-1].reshape(len(start), parts, -1) - start, end - start
+    length = np.maximum((vector**2).sum(axis=2), np.finfo(np.float64).tiny)
+    along = np.clip((away * vector).sum(axis=2) / length, 0.0, 1.0)
+    return float(np.sqrt(((away - along[..., None] * vector) ** 2).sum(axis=2).max()))
 
 
 def _by_time(finding: Finding) -> Finding:
     return replace(finding, note="; ".join(filter(None, (finding.note, COMMAND_BY_TIME))))
 
 
-def _headings(heading: FloatArray, way: FloatArray) -> FloatArray:
-    """Return (n, axes) the displacement of the command to each place, from its ``way``.
+def _headings(heading: FloatArray, step: FloatArray) -> FloatArray:
+    """Return the (n, axes) direction of motion of the command at each place: its last ``step``.
 
-    ``way`` is zero where the command rests within its resolution. While the command rests, the
-    heading is its last displacement; before the first motion it is 0.
+    ``step`` is the displacement to each place, zero while the command rests within its resolution.
+    Before the first motion the heading is 0.
     """
-    moved = way[:, 0] != 0.0
-    for axis in range(1, way.shape[1]):
-        moved |= way[:, axis] != 0.0
+    moved = step[:, 0] != 0.0
+    for axis in range(1, step.shape[1]):
+        moved |= step[:, axis] != 0.0
     if moved.all():
-        return way
-    known = heading[-1:] if len(heading) else np.zeros((1, way.shape[1]))
-    latest = np.maximum.accumulate(np.where(moved, np.arange(1, len(way) + 1), 0))
-    return np.asarray(np.concatenate([known, way])[latest])
+        return step
+    before = heading[-1:] if len(heading) else np.zeros((1, step.shape[1]))
+    latest = np.maximum.accumulate(np.where(moved, np.arange(1, len(step) + 1), 0))
+    return np.asarray(np.concatenate([before, step])[latest])
 
 
 def start_progress(setting: Setting, options: Mapping[str, float]) -> Measure:  # noqa: ARG001

@@ -94,7 +94,7 @@ _DIMENSIONS: Mapping[str, Dimension] = {
     "fibre_speed": "tool/s",
     "fibre_speed_variation": "ratio",
 }
-"""Dimensions of the measures of a fibre that are no lengths."""
+"""Dimensions of the fibre measures other than lengths."""
 _FIBRE = (
     *(
         MeasureKind(
@@ -140,8 +140,8 @@ _KINDS = (
         OfRuns(run=SwitchRun, in_step=whole_runs(switch_measures.repeatability)),
         options=repeat.OPTIONS,
     ),
-    # Measured on plans or on runs, by intent: a path or step tables tell beforehand how far they
-    # go, a schedule does not. The allowance is for rounded sums that end beyond the travel.
+    # Measured on plans or on runs, by intent: the reach of a path or of step tables is known
+    # beforehand, the reach of a schedule is not. The allowance covers rounded sums.
     _kind(
         "travel", "axis", _DEMANDS, _switched(switch_measures.travel), _TABLES, per_axis=True,
         least=-math.inf, allowance=1e-9,
@@ -250,8 +250,8 @@ MEASURES: dict[str, MeasureKind] = {kind.name: kind for kind in (*_KINDS, *_FIBR
 def needed_channels(spec: Spec) -> tuple[ChannelKind, ...]:
     """Return the kinds of channels that the criteria of ``spec`` read from a simulated machine.
 
-    If a criterion accepts several kinds of channel, the load is taken; with its velocity where the
-    way between samples counts.
+    If a criterion accepts several kinds of channel, the load is taken; with its velocity, if the
+    measure follows the loads between samples.
     """
     needs = (need for criterion in spec.criteria for need in MEASURES[criterion.name].needs)
     found = {kind for n in needs for kind in ((ChannelKind.LOAD,) if ChannelKind.LOAD in n else n)}

@@ -353,9 +353,9 @@ def verdict_rows(
     verdict
         Its results keep their order.
     every_axis
-        One row per axis; else one per criterion, for the worst axis and step, without the zeros of
-        axes that never move (these have a result all the same). If some were not measured, the row
-        is the worst of the others, with a note; a required one gets its own row.
+        One row per axis; otherwise one per criterion, for the worst axis and step, without the
+        zeros of axes that never move (the verdict has these, too). If some axes were not measured,
+        the row is the worst of the others, with a note; a required one gets its own row.
     """
     header = ["criterion", "axis", "measured", "limit", "status", "at", "line", "note"]
     if every_axis:
@@ -382,10 +382,10 @@ def _of_what(result: Result, verdict: Verdict) -> Result:
 
 
 def of_moving_axes(results: Sequence[Result]) -> list[Result]:
-    """Return the results except results of axes that stand still while another moves.
+    """Return the results except results of axes that rest while another moves.
 
-    An axis stands still if its motion never has a speed. Results that failed, were not measured or
-    are not 0 stay, because another axis may shake this one. Its remaining travel is left out.
+    An axis rests if its motion never has a speed. Results that failed, were not measured or are not
+    0 stay, because another axis may shake this one. Its remaining travel is left out.
     """
     speeds = {r.axis: r.measured for r in results if r.name == "velocity"}
     still = {axis for axis, v in speeds.items() if v is not None and without_noise(v) == 0.0}

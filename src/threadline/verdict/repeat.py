@@ -85,7 +85,7 @@ def start_in_step(runs: Sequence[Setting], options: Mapping[str, float]) -> Meas
 
 @dataclass(slots=True)
 class _Taken:
-    """Samples of a run that wait for the other runs: a block, from one of its samples on."""
+    """Samples of a run that wait for the other runs: a block from sample ``begin`` on."""
 
     block: Block
     by_time: IntArray | None
@@ -120,7 +120,7 @@ class _InStep:
 
     def __init__(self, count: int, spread: _Spread, few: str) -> None:
         self._few = few
-        # By time a sample may belong to another operation: the same spread, reported with that one.
+        # With operations by time the spread is the same; the operation reported may differ.
         self._own, self._by_time = spread, _Spread(spread.setting, few)
         self._held = False
         self._waiting: list[deque[_Taken]] = [deque() for _ in range(count)]
@@ -161,7 +161,7 @@ class _InStep:
         self._by_time.feed(replace(part, operation=None if by_time is None else by_time[rows]))
 
     def finish(self, runs: Sequence[Run]) -> Sequence[Finding]:
-        """Return the largest distance, if the runs did the same at the same instants."""
+        """Return the largest distance, if all runs did the same operations at the same instants."""
         if not self._few:
             if self._held:
                 return [Finding(value=None, note="a run was held: its instants are its own")]

@@ -1,4 +1,4 @@
-"""The replayed fibre of runs and of planned motions, beside their product."""
+"""The replayed fibre of runs and of planned motions, on their product."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def toleranced(product: Product) -> IntArray:
 
 
 def product_words(product: Product, parts: Mapping[str, float]) -> str:
-    """Return in words the numbers of a product at ``parts`` of their tolerances, by name."""
+    """Return the numbers of a product in words, with ``parts`` of their tolerances, by name."""
     own = (product.radius_error, product.at, product.width, product.slip, product.friction)
     said = []
     for name, number in zip(NUMBERS, own, strict=True):
@@ -68,7 +68,7 @@ def product_words(product: Product, parts: Mapping[str, float]) -> str:
 
 
 def product_at_random(index: IntArray) -> FloatArray:
-    """Return (k, 5) parts of the tolerances of ``NUMBERS``, of drawn products."""
+    """Return (k, 5) parts of the tolerances of ``NUMBERS`` for (k,) drawn products."""
     rows = [np.random.default_rng((_DRAWS, n)).uniform(-1.0, 1.0, len(NUMBERS)) for n in index]
     return np.array(rows).reshape(-1, len(NUMBERS))
 
@@ -79,14 +79,14 @@ def with_products(recording: Recording, parts: FloatArray) -> Recording:
 
 
 def of_product(recordings: Sequence[Recording], parts: Sequence[float]) -> Sequence[Recording]:
-    """Return recordings whose runs have one product, at (5,) parts; none: the product as it is."""
+    """Return recordings whose runs have one product, at (5,) parts of the tolerances."""
     if not any(parts):
         return recordings
     return [with_products(one, np.array([parts])) for one in recordings]
 
 
 def _products_of(recording: Recording) -> list[tuple[float, ...] | None]:
-    """Return the parts of the product of each run; None for the product as it is."""
+    """Return the parts of the product of each run; None for the product as specified."""
     text = recording.origin.get(_PARTS)
     if text is None:
         return [None] * recording.runs
@@ -96,14 +96,14 @@ def _products_of(recording: Recording) -> list[tuple[float, ...] | None]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WoundJob:
-    """A product beside the eye of its machine.
+    """A product, and the eye of the machine that winds it.
 
     Parameters
     ----------
     parts
-        Places of ``NUMBERS`` within their tolerances, -1 to 1; None for the product as it is.
+        Where ``NUMBERS`` lie in their tolerances, -1 to 1; None for the product as specified.
     further_m
-        How much further from the axis the eye is than its axis says.
+        Distance by which the eye is further out than its axis shows.
     """
 
     product: Product
@@ -117,14 +117,14 @@ class WoundJob:
 
     @property
     def surface(self) -> Surface:
-        """The mandrel with its error of radius."""
+        """The mandrel with its radius error."""
         error = self.product.radius_error
         by = error.si + self._off(0) * error.tolerance
         return self.product.surface if by == 0.0 else self.product.surface.grown(by)
 
     @property
     def at_m(self) -> float:
-        """Machine place of its left end."""
+        """Machine position of the mandrel's left end."""
         return self.product.at.si + self._off(1) * self.product.at.tolerance
 
     @property
@@ -134,19 +134,19 @@ class WoundJob:
 
     @property
     def slip(self) -> float:
-        """Share by which the mandrel stays behind the axis that turns it."""
+        """Share by which the mandrel lags behind the axis that turns it."""
         return self.product.slip.si + self._off(3) * self.product.slip.tolerance
 
     @property
     def friction(self) -> float:
-        """Friction beyond which the fibre's place is not known; its lower end for no parts."""
+        """Friction beyond which the fibre's place is unknown; without ``parts`` its lower end."""
         if self.parts is None:
             return least_friction(self.product)
         return self.product.friction.si + self._off(4) * self.product.friction.tolerance
 
     @property
     def rings(self) -> tuple[Ring, ...]:
-        """The other parts that turn about the axis, from the mandrel's left end."""
+        """The other rotating parts, measured from the mandrel's left end."""
         found, tool = list(self.product.rings), self.tool
         for name, stop, sign in (("chuck", tool.chuck, -1.0), ("tailstock", tool.tailstock, 1.0)):
             if stop is not None:
@@ -169,7 +169,7 @@ class WoundJob:
         return float(self.surface.r[:, 0].max())
 
     def replay(self) -> Replay:
-        """Return a replay that has read nothing."""
+        """Return a replay before its first sample."""
         return Replay(self.surface, self.tool, self.friction, self.product.tied)
 
 
@@ -179,7 +179,7 @@ def least_friction(product: Product) -> float:
 
 
 def wound_job(plan: Plan, parts: tuple[float, ...] | None = None) -> WoundJob | None:
-    """Return the product of a plan beside its eye; None for a plan without one."""
+    """Return the product of a plan with the machine's eye; None for a plan without one."""
     product, tool = product_of(plan), plan.machine.tool
     if product is None or tool is None:
         return None
@@ -190,13 +190,13 @@ def wound_job(plan: Plan, parts: tuple[float, ...] | None = None) -> WoundJob | 
 class Wound:
     """Consecutive samples of a run with its replayed fibre.
 
-    ``eyes`` is (n, 6) as ``eye_columns``; ``before_s`` is the time of the sample before them, NaN
-    if there is none.
+    ``position``, (n, axes), is the position to report: the command, if recorded. ``eyes`` is (n, 6)
+    as ``eye_columns``; ``before_s`` is the time of the sample before, NaN if there is none.
     """
 
     time_s: FloatArray
     operation: IntArray | None
-    actual: FloatArray
+    position: FloatArray
     fibre: Fibre
     eyes: FloatArray
     before_s: float = np.nan
@@ -204,19 +204,19 @@ class Wound:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Samples:
-    """Consecutive samples of a run, before they are replayed: where it was, and was to be."""
+    """Consecutive samples of a run before the replay: (n, axes) to replay, and to report."""
 
     time_s: FloatArray
     operation: IntArray | None
     places: FloatArray
-    actual: FloatArray
+    position: FloatArray
 
     def __len__(self) -> int:
         return len(self.time_s)
 
     def rows(self, part: slice | NDArray[np.bool_]) -> _Samples:
         operation = None if self.operation is None else self.operation[part]
-        return _Samples(self.time_s[part], operation, self.places[part], self.actual[part])
+        return _Samples(self.time_s[part], operation, self.places[part], self.position[part])
 
     def joined(self, more: _Samples) -> _Samples:
         operation = None
@@ -226,15 +226,15 @@ class _Samples:
             np.concatenate([self.time_s, more.time_s]),
             operation,
             np.vstack([self.places, more.places]),
-            np.vstack([self.actual, more.actual]),
+            np.vstack([self.position, more.position]),
         )
 
 
 class _RunReplay:
     """The replay of a run at the samples that ``Thinning`` keeps.
 
-    The last sample waits for the next ones, which say whether it is kept, and whether more samples
-    are judged together with it: where a run is cut into blocks changes nothing.
+    The last sample waits for the next ones: they decide whether it is kept, and whether more
+    samples are judged together with it. So the result does not depend on the size of blocks.
     """
 
     def __init__(self, job: WoundJob) -> None:
@@ -267,14 +267,14 @@ class _RunReplay:
     def _replayed(self, read: _Samples, behind: int | None) -> Wound:
         eyes = self._job.eyes(read.places)
         fibre = self._replay.feed(eyes, read.operation, behind)
-        found = Wound(read.time_s, read.operation, read.actual, fibre, eyes, self._before_s)
+        found = Wound(read.time_s, read.operation, read.position, fibre, eyes, self._before_s)
         if len(read):
             self._before_s = float(read.time_s[-1])
         return found
 
 
 class SharedReplays:
-    """The replays of the parallel runs of a recording, which all measures of it share."""
+    """The replays of the parallel runs of a recording, shared by all its measures."""
 
     def __init__(self, setting: Setting) -> None:
         self.setting = setting
@@ -292,8 +292,8 @@ class SharedReplays:
         found = []
         for run, replay in enumerate(self._replays):
             places = np.ascontiguousarray(block.actual[:, run])
-            actual = block.actual[:, 0] if block.commanded is None else block.commanded
-            found.append(replay.feed(_Samples(block.time_s, block.operation, places, actual)))
+            position = block.actual[:, 0] if block.commanded is None else block.commanded
+            found.append(replay.feed(_Samples(block.time_s, block.operation, places, position)))
         self._block, self._found = block, found
         return found
 
@@ -309,7 +309,7 @@ _ROUNDING = 1e-9
 
 
 def shared_replays(setting: Setting) -> SharedReplays:
-    """Return the replays of a run: the measures of a run are started one after the other."""
+    """Return the shared replays of a run: its measures are started one after the other."""
     latest: SharedReplays | None = getattr(_LATEST, "shared", None)
     if latest is None or latest.setting is not setting:
         latest = SharedReplays(setting)
@@ -318,11 +318,11 @@ def shared_replays(setting: Setting) -> SharedReplays:
 
 
 def with_beginning(plan: Plan) -> Plan:
-    """Return a plan whose machine knows how its fibre is tied, where its mandrel is mounted.
+    """Return a plan whose machine knows how its fibre is tied, if a mandrel is mounted.
 
-    The fibre leads from where the program begins to lay it to the eye; the operator ties it so. It
-    knows, too, how the brake of its spool is set for each layer. A plan that lays no fibre has no
-    direction of the tied one.
+    The operator ties the fibre so that it leads to the eye from where the program begins to lay it.
+    The machine also gets the setting of the spool's brake for each layer. A plan that lays no fibre
+    gets no direction of the tied fibre.
 
     Raises
     ------
@@ -346,7 +346,7 @@ def with_beginning(plan: Plan) -> Plan:
 
 
 def _brakes(plan: Plan) -> tuple[tuple[int, float], ...]:
-    """Return from which operation on the brake has which share of its torque, if it can be set."""
+    """Return operations and the share of the brake's torque from each on; empty if it is fixed."""
     spool = plan.machine.spool
     if spool is None or spool.most_torque is None:
         return ()
@@ -376,8 +376,8 @@ def programmed_fibre(plan: Plan, job: WoundJob) -> Iterator[Wound]:
         chain = np.vstack([before, vertices])
         last = chain[-1:]
         eyes = job.eyes(chain)
-        way = np.abs(np.diff(eyes, axis=0))
-        size = np.maximum(np.hypot(reach * way[:, 0], way[:, 1]), way[:, 2])
+        step = np.abs(np.diff(eyes, axis=0))
+        size = np.maximum(np.hypot(reach * step[:, 0], step[:, 1]), step[:, 2])
         count = np.maximum(np.ceil(size / _FINE_M), 1.0).astype(np.int64)
         row, within = _divided(count)
         points = chain[row] + within[:, None] * (chain[row + 1] - chain[row])
@@ -417,18 +417,18 @@ def recorded_fibre(recording: Recording, job: WoundJob) -> Wound | None:
 
 
 def planned_fibre(plan: Plan, job: WoundJob) -> Iterator[Wound]:
-    """Yield the replay of the planned motion, at points whose chords are within 5 um of it."""
+    """Yield the replay of the planned motion, at points with a chord error of at most 5 um."""
     replay, scale = _RunReplay(job), moves_of(job.tool, job.axes, job.reach_m)
     for block in plan.motion.trajectory:
         if not len(block):
             continue
         order = block.coefficients.shape[1]
         size = np.abs(block.coefficients) * scale
-        way = np.linalg.norm(size[:, 1:].sum(axis=1), axis=1)
-        # A chord of a share h of a piece is off by h^2 / 8 of its second derivative at most.
+        length = np.linalg.norm(size[:, 1:].sum(axis=1), axis=1)
+        # The chord error over a share h of a piece is at most h^2 / 8 of its second derivative.
         second = np.arange(order) * (np.arange(order) - 1.0)
         bent = np.linalg.norm(np.tensordot(size, second, axes=(1, 0)), axis=1)
-        count = np.maximum(np.ceil(way / LONGEST_M), np.ceil(np.sqrt(bent / (8.0 * STRAIGHT_M))))
+        count = np.maximum(np.ceil(length / LONGEST_M), np.ceil(np.sqrt(bent / (8.0 * STRAIGHT_M))))
         row, share = _divided(np.maximum(count, 1.0).astype(np.int64))
         points = np.zeros((len(row), block.coefficients.shape[2]))
         for power in range(order - 1, -1, -1):
@@ -440,7 +440,7 @@ def planned_fibre(plan: Plan, job: WoundJob) -> Iterator[Wound]:
 
 
 def _divided(count: IntArray) -> tuple[IntArray, FloatArray]:
-    """Return the numbers of rows that have (n,) parts each, and the share where each part ends."""
+    """Return the row of each part, for rows with (n,) parts, and the share where the part ends."""
     row = np.repeat(np.arange(len(count)), count)
     share = (np.arange(len(row)) - np.repeat(np.cumsum(count) - count, count) + 1) / count[row]
     return row, share

@@ -16,11 +16,11 @@ from threadline.base.compiled import njit
 from threadline.commands.plan import Plan
 from threadline.errors import BudgetError, RecordingError
 from threadline.files import Channel, Recording, RecordingBlock
-from threadline.verdict.nearest import charge_trailing, nearest_chords
+from threadline.verdict.nearest import Candidates, Nearest, charge_trailing, nearest_chords
 from threadline.verdict.window import PathWindow
 
 MOST_WAITING = 1 << 16
-"""Samples that wait for a late channel; samples that come later than that are refused."""
+"""Most samples that wait for a late channel; a channel that is later is refused."""
 _ROUNDING = 1e-9  # of a sample: equal instants of two clocks may differ by a rounding
 
 
@@ -53,7 +53,7 @@ def finite_samples(channel: Channel, block: RecordingBlock) -> FloatArray:
 
 
 class Follower:
-    """One channel at the instants of another: its own samples, or the last one held.
+    """One channel at the instants of another: its own samples, or the last sample held.
 
     With ``largest``, a finer channel gives the sample of largest magnitude since the previous
     instant, so that no peak between two instants is lost.
@@ -82,10 +82,10 @@ class Follower:
     def values(self, block: RecordingBlock, count: int) -> FloatArray:
         """Return the (count, ...) samples of a block, for a channel with the same instants."""
         values = finite_samples(self._channel, block)
-        # Samples missing in this block are NaN; the measures that need them get the reason.
-        lacking = max(count - len(values), 0)
-        known = values[:count]
-        return known if not lacking else np.concatenate([known, np.full(lacking, np.nan)])
+        # Samples missing in this block are NaN; ``Coverage`` gives the reason.
+        missing = max(count - len(values), 0)
+        there = values[:count]
+        return there if not missing else np.concatenate([there, np.full(missing, np.nan)])
 
     def take(self, block: RecordingBlock) -> None:
         """Keep the channel's samples in a block until they are requested.
@@ -178,8 +178,8 @@ class Setting:
     def resolution(self) -> FloatArray:
         """(axes,) smallest change of a commanded position that counts as motion, m or rad.
 
-        One count of the axis, as commands are whole counts; a rounding error if the loads follow
-        the motion and the commanded positions come from the plan. See ``Steady``.
+        One count of the axis, because commands are whole counts; a rounding error if the loads
+        follow the motion and the commanded positions come from the plan. See ``Steady``.
         """
         intended = self.plan.motion.of_loads
         planned = () if intended is None else intended.axes
@@ -207,9 +207,9 @@ class Setting:
 class Block:
     """Consecutive samples of parallel runs, n of them, with every channel at the same instants.
 
-    Several runs have the same commands and differ in the response of the machine. In each array
-    (n, runs, axes) the runs of one axis at one instant are adjacent in memory; ``lanes`` gives
-    compiled loops this layout.
+    Parallel runs have the same commands and differ in the response of the machine. In each array
+    (n, runs, axes) the runs of one axis at one instant are adjacent in memory; ``lanes`` returns
+    this layout for compiled loops.
 
     Parameters
     ----------
@@ -230,8 +230,8 @@ class Block:
     begin, end
         (n,) first and last chord that the command is on within the lag around each sample.
     left
-        (n,) share of the chord ``begin`` that the command had left behind by the lag before; None
-        if its place on the chord is unknown.
+        (n,) share of the chord ``begin`` that the command had left behind one lag before; None if
+        its place on the chord is unknown.
     path
         The programmed path around these operations, or None without an operation channel.
     torque_share
@@ -241,9 +241,9 @@ class Block:
         (n,) the plan's time at each sample, and whether it advanced less than the clock since the
         previous sample; None until the first hold, while it equals the recording's time.
     velocity
-        (n, runs, axes) or None: of the load, at each of these instants.
+        (n, runs, axes) or None: velocity of the load at each of these instants.
     tension
-        (n, runs) or None: of a winder's fibre, N.
+        (n, runs) or None: tension of a winder's fibre, N.
     steady
         (n, axes) ``commanded`` with rests found by ``Steady``; None: equal to ``commanded``.
     """
@@ -321,7 +321,7 @@ class Block:
 
     @cached_property
     def nearest_on_surface(self) -> tuple[FloatArray, IntArray]:
-        """As ``nearest``, at the mandrel's radius, and a tool that trails by more is charged."""
+        """As ``nearest``, at the mandrel's radius; a tool that trails by more than the lag pays."""
         path, begin, end = self.window()
         points, shares = self.at_tool, self.shares
         squared, chord = self.nearest
@@ -329,10 +329,11 @@ class Block:
             squared, chord = nearest_chords(points, begin, end, path.vertices, shares)
         if self.left is None:
             return squared, chord
-        squared, each = squared.copy(), np.full(len(self), -1)
-        weighed = points[:0] if shares is None else shares
-        charge_trailing(points, begin, end, self.left, path.vertices, weighed, squared, chord, each)
-        return squared, chord
+        found = Nearest(squared.copy(), chord, np.full(len(self), -1))
+        weights = points[:0] if shares is None else shares
+        window = Candidates(begin, end)
+        charge_trailing(points, window, self.left, path.vertices, weights, found)
+        return found.squared, chord
 
     def every(self, count: int) -> Block:
         """Return each ``count``-th sample of the recording, without the peaks between them."""
@@ -379,9 +380,9 @@ class Steady:
     """Commanded positions that stand still while they change by less than their resolution.
 
     An axis keeps its position until the command is ``resolution`` away, then takes the command's
-    position. Every criterion that looks for the end of the command, a rest or the direction of a
-    motion reads these positions: recorder noise below a count, or a rounding, is no motion.
-    Commands in whole counts pass unchanged, to the bit.
+    position. Every criterion that needs the end of the command, a rest or the direction of a motion
+    reads these positions: noise of the recorder below a count, or a rounding, is no motion.
+    Commands in whole counts are unchanged, to the bit.
 
     Parameters
     ----------
@@ -416,14 +417,14 @@ _hold_fast = njit(nogil=True)(_hold)
 
 
 def _any_since(slow: NDArray[np.bool_], rows: slice) -> NDArray[np.bool_]:
-    """Return for the samples ``rows`` whether any since the previous one is ``slow``."""
+    """Return for the samples ``rows`` whether any sample since the previous row is ``slow``."""
     kept = np.arange(len(slow))[rows]
     counted = np.append(0, np.cumsum(slow))
     return np.diff(counted[kept + 1], prepend=0) > 0
 
 
 def samples_of_lag(lag_s: float, interval_s: float, runs: int) -> int:
-    """Return the lag in samples; so many of each run are held before and after a sample.
+    """Return the lag in samples; the judge holds so many before and after a sample, in each run.
 
     Raises
     ------
@@ -455,8 +456,8 @@ def enough_of(over_s: float, interval_s: float) -> int:
 def together(channels: Sequence[FloatArray | None]) -> FloatArray | None:
     """Return (n, runs, axes) from (n, runs) samples of every axis, if their memory allows it.
 
-    The twin puts the output of many runs for all axes into one array, (n, axes, runs); each channel
-    is a part of it. None if the channels do not fill such an array: then they must be copied.
+    The twin writes the output of many runs, for all axes, into one array, (n, axes, runs); each
+    channel is a part of it. None if the channels do not fill such an array and must be copied.
     """
     first = channels[0]
     if first is None or first.ndim == 1 or first.base is None:
@@ -484,5 +485,5 @@ def _address(values: FloatArray) -> int:
 
 
 def lanes(values: FloatArray) -> FloatArray:
-    """Return (n, axes, runs) of (n, runs, axes) values, contiguous; without a copy if they are."""
+    """Return (n, runs, axes) values as contiguous (n, axes, runs); without a copy if possible."""
     return np.ascontiguousarray(values.transpose(0, 2, 1))

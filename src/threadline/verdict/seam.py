@@ -1,9 +1,9 @@
-"""The measure of a seam: its stitches against the drawing, both ways."""
+"""Seam error: distance between the sewn stitches and the drawn line, in both directions."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -19,17 +19,17 @@ from threadline.verdict.stitch_run import too_short
 if TYPE_CHECKING:
     from threadline.geometry.contours import DrawnLine
 
-_PARTS = 16  # of the drawn stretch of a stitch: a bow of 0.25 mm between two places is 1 um
-_NEAR = 4  # neighbouring stitches that a place may lie on: the free lag
+_PARTS = 16  # of the drawn stretch of a stitch: a sagitta of 0.25 mm leaves 1 um in each part
+_NEAR = 4  # stitches before and after its own that a point is compared with: the free lag
 _NONE = "the job has no drawing"
 
 
 class _Seam:
     """The worst place of a seam, measured both ways.
 
-    For every drawn place: the distance to the stitches around its own. For every needle-down: the
-    distance to the line that those stitches cover. Between needle-downs the thread is straight, so
-    it is no further from the line than these two.
+    For every drawn point: the distance to the stitches around the stitch that covers it. For every
+    needle-down: the distance to the part of the line that those stitches cover. The thread is
+    straight between needle-downs, so these two distances bound its distance from the line.
     """
 
     def __init__(self, setting: Setting, delay_s: float) -> None:
@@ -61,7 +61,7 @@ class _Seam:
         return [self._worst.found()]
 
     def _judge(self, until: int) -> None:
-        """Judge the buffered stitches up to ``until``; discard stitches that no other needs."""
+        """Judge the buffered stitches up to ``until``; discard stitches no longer needed."""
         held = self._held
         if held is None or until <= self._judged:
             return
@@ -81,6 +81,30 @@ class _Seam:
         )
         first = max(until - _NEAR, 0)
         self._held, self._judged = held.after(first), until - first
+
+
+class _Stitches(NamedTuple):
+    """Consecutive stitches: (stitches, axes, runs) start and end, and the contour of each.
+
+    ``drawn``, (stitches, points, axes), are points along the drawn stretch of each stitch.
+    """
+
+    drawn: FloatArray
+    begin: FloatArray
+    end: FloatArray
+    contour: IntArray
+
+
+class _Apart(NamedTuple):
+    """Distances between line and stitches, (n, runs).
+
+    ``missed`` is the largest distance of a stitch's drawn stretch from the stitches around it, and
+    ``part`` the drawn point there; ``strayed`` is the distance of its needle-down from the line.
+    """
+
+    missed: FloatArray
+    part: IntArray
+    strayed: FloatArray
 
 
 class _Sewn:
@@ -113,48 +137,27 @@ class _Sewn:
             setattr(rest, name, getattr(self, name)[first:])
         return rest
 
-    def apart(self, begin: int, until: int) -> tuple[FloatArray, IntArray, FloatArray]:
-        """Return the distances between the line and the stitches ``begin`` up to ``until``.
-
-        Returns
-        -------
-        tuple
-            (n, runs) the largest distance of the drawn stretch of a stitch from the stitches around
-            it, the place that has it, and the distance of its needle-down from the line around it.
-        """
-        runs = self.end.shape[2]
-        missed, strayed = np.empty((until - begin, runs)), np.empty((until - begin, runs))
-        part = np.empty((until - begin, runs), dtype=np.int64)
-        _apart_fast(
+    def apart(self, begin: int, until: int) -> _Apart:
+        """Return the distances between the line and the stitches ``begin`` up to ``until``."""
+        shape = until - begin, self.end.shape[2]
+        found = _Apart(np.empty(shape), np.empty(shape, dtype=np.int64), np.empty(shape))
+        stitches = _Stitches(
             self.drawn,
             np.ascontiguousarray(self.begin),
             np.ascontiguousarray(self.end),
             self.contour,
-            (0,) * self.end.shape[1],
-            begin,
-            missed,
-            part,
-            strayed,
         )
-        return missed, part, strayed
+        _measure_fast(stitches, (0,) * self.end.shape[1], begin, found)
+        return found
 
 
-def _apart(
-    drawn: FloatArray,
-    begin: FloatArray,
-    end: FloatArray,
-    contour: IntArray,
-    axes: tuple[int, ...],
-    first: int,
-    missed: FloatArray,
-    part: IntArray,
-    strayed: FloatArray,
-) -> None:
-    """Fill in ``missed``, ``part`` and ``strayed`` of the stitches from ``first`` on.
+def _measure(stitches: _Stitches, axes: tuple[int, ...], first: int, found: _Apart) -> None:
+    """Fill in the distances of the stitches from ``first`` on.
 
-    ``drawn`` is (stitches, places, axes), ``begin`` and ``end`` are (stitches, axes, runs).
     ``axes`` is a tuple with one entry per axis: its length is known at compile time.
     """
+    drawn, begin, end, contour = stitches
+    missed, part, strayed = found
     count, runs = missed.shape
     places = drawn.shape[1]
     best, length = np.empty((places, runs)), np.empty(runs)
@@ -174,15 +177,15 @@ def _apart(
                 for r in range(runs):
                     along = 0.0
                     for a in range(len(axes)):
-                        way = end[other, a, r] - begin[other, a, r]
-                        along += (drawn[own, p, a] - begin[other, a, r]) * way
+                        step = end[other, a, r] - begin[other, a, r]
+                        along += (drawn[own, p, a] - begin[other, a, r]) * step
                     where = along / length[r]
                     where = where if where > 0.0 else 0.0
                     where = where if where < 1.0 else 1.0
                     away = 0.0
                     for a in range(len(axes)):
-                        way = end[other, a, r] - begin[other, a, r]
-                        gap = drawn[own, p, a] - begin[other, a, r] - where * way
+                        step = end[other, a, r] - begin[other, a, r]
+                        gap = drawn[own, p, a] - begin[other, a, r] - where * step
                         away += gap * gap
                     best[p, r] = away if away < best[p, r] else best[p, r]
             for p in range(1, places):
@@ -193,15 +196,15 @@ def _apart(
                 for r in range(runs):
                     along = 0.0
                     for a in range(len(axes)):
-                        way = drawn[other, p, a] - drawn[other, p - 1, a]
-                        along += (end[own, a, r] - drawn[other, p - 1, a]) * way
+                        step = drawn[other, p, a] - drawn[other, p - 1, a]
+                        along += (end[own, a, r] - drawn[other, p - 1, a]) * step
                     where = along / whole
                     where = where if where > 0.0 else 0.0
                     where = where if where < 1.0 else 1.0
                     away = 0.0
                     for a in range(len(axes)):
-                        way = drawn[other, p, a] - drawn[other, p - 1, a]
-                        gap = end[own, a, r] - drawn[other, p - 1, a] - where * way
+                        step = drawn[other, p, a] - drawn[other, p - 1, a]
+                        gap = end[own, a, r] - drawn[other, p - 1, a] - where * step
                         away += gap * gap
                     strayed[i, r] = away if away < strayed[i, r] else strayed[i, r]
         for r in range(runs):
@@ -213,7 +216,7 @@ def _apart(
             strayed[i, r] = np.sqrt(strayed[i, r])
 
 
-_apart_fast = njit(nogil=True)(_apart)
+_measure_fast = njit(nogil=True)(_measure)
 
 
 def start_seam(setting: Setting, options: Mapping[str, float]) -> Measure:

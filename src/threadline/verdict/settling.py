@@ -20,11 +20,11 @@ RESIDUAL_OPTIONS = {
 }
 SETTLING_OPTIONS = {"band": Option(unit="m", default=1e-4)}
 _WATCHED_S = 0.2
-"""Time after the command for which a load is watched at least: half a period of 2.5 Hz."""
+"""Shortest time for which a load is watched after the command: half a period of 2.5 Hz."""
 
 
 def _if_watched(found: RunFindings, watched_s: float, least_s: float) -> RunFindings:
-    """Return findings of the rest after a command, which can only fail if watched too shortly."""
+    """Return findings about the rest after a command; if it is too short they can only fail."""
     if watched_s >= least_s * (1.0 - 1e-9):
         return found
     why = (
@@ -47,7 +47,7 @@ class CommandEnd:
         self.position: FloatArray | None = None
 
     def begins_at(self, block: Block) -> int | None:
-        """Return the sample of the block with which a new standstill begins, if any."""
+        """Return the sample of the block with which a new rest begins, if any."""
         commanded = block.rests
         assert commanded is not None
         index = _last_change(commanded, self._last)
@@ -75,8 +75,9 @@ def _last_change(commanded: FloatArray, before: FloatArray | None) -> int | None
 class _Residual:
     """Per axis: half the peak-to-peak motion of the load after the command's end, at the tool.
 
-    From ``after`` the end of the command, for ``window``, both included. Between two samples the
-    load moves in a straight line. With ``after`` 0 the distance that it still has to go counts too.
+    The window begins ``after`` the end of the command and lasts for ``window``, both ends included.
+    Between two samples the load moves in a straight line. With ``after`` 0 the distance that the
+    load still has to go counts, too.
     """
 
     def __init__(self, setting: Setting, after_s: float, window_s: float) -> None:
@@ -92,7 +93,7 @@ class _Residual:
         shape = self._runs, len(self._axes)
         self._low, self._high = np.full(shape, np.inf), np.full(shape, -np.inf)
         self._time_s = np.zeros(shape)
-        self._lasts = False  # whether the recording goes on after the command
+        self._lasts = False  # whether the recording continues after the command
 
     def feed(self, block: Block) -> None:
         assert block.actual is not None
@@ -123,7 +124,7 @@ class _Residual:
         self._low, self._high = np.minimum(self._low, low), np.maximum(self._high, high)
 
     def _between(self, block: Block, at_s: float) -> FloatArray | None:
-        """Return the (runs, axes) places at an instant between two samples up to this block's."""
+        """Return the (runs, axes) positions at an instant between two samples; None elsewhere."""
         assert block.actual is not None
         after = int(np.searchsorted(block.time_s, at_s))
         if after == len(block) or block.time_s[after] == at_s:
@@ -156,16 +157,17 @@ class _Residual:
 
 
 def _enters(before: FloatArray, after: FloatArray, radius: float) -> FloatArray:
-    """Return (n,) share of the way from (n, axes) ``before`` at which a ball about 0 is entered.
+    """Return (n,) share of the segment from ``before`` to ``after`` at which it enters a ball.
 
-    ``before`` lies outside, ``after`` inside or on it; elsewhere the result means nothing.
+    The ball is about 0. ``before``, (n, axes), lies outside, ``after`` inside or on it; otherwise
+    the result is meaningless.
     """
-    way = after - before
-    square, half = (way**2).sum(axis=1), (before * way).sum(axis=1)
+    step = after - before
+    square, half = (step**2).sum(axis=1), (before * step).sum(axis=1)
     beyond = (before**2).sum(axis=1) - radius**2
     root = np.sqrt(np.maximum(half**2 - square * beyond, 0.0))
     # The smaller root, in the form that does not cancel: half is below 0.
-    with np.errstate(over="ignore"):  # where the result means nothing
+    with np.errstate(over="ignore"):  # where the result is meaningless
         share = beyond / np.maximum(root - half, 1e-300)
     return np.asarray(np.clip(share, 0.0, 1.0))
 
@@ -174,8 +176,8 @@ class _Settling:
     """Time from the command's end until the tool stays within ``band`` of the commanded end.
 
     The distance is at the tool, over all axes. Between two samples the tool moves in a straight
-    line, so it comes into the band between the last sample outside and the next one. A tool that is
-    still outside when the recording ends has not settled: the value is infinite.
+    line, so it enters the band between the last sample outside and the next one. If the tool is
+    still outside when the recording ends, it has not settled: the value is infinite.
     """
 
     def __init__(self, setting: Setting, band_m: float) -> None:
@@ -195,7 +197,7 @@ class _Settling:
         begin = begin or 0
         actual, time_s = block.actual[begin:], block.time_s[begin:]
         if self._outside is not None and begin_at is None:
-            # The segment from the last sample of the block before to the first one here.
+            # The segment from the last sample of the previous block to the first sample here.
             actual = np.concatenate([self._outside[None], actual])
             time_s = np.concatenate([[self._seen_s], time_s])
         away = self._lengths(actual - block.commanded[-1], actual)
@@ -280,7 +282,7 @@ _farthest_fast = njit(nogil=True)(_farthest)
 
 
 class _Ripple:
-    """Largest relative difference between the tool's speed and the programmed one.
+    """Largest relative difference between the tool's speed and the programmed speed.
 
     The speed is the tool's displacement over ``over``. Samples within the lag of a corner or of a
     change of the set speed are exempt: they belong to two chords. Chords that continue straight at
@@ -311,7 +313,7 @@ class _Ripple:
         points = np.concatenate([self._tail, block.at_tool])
         known = len(self._tail)
         self._tail = points[-self._span :]
-        # Sample i of the block against the one ``span`` before it.
+        # Sample i of the block is compared with the sample ``span`` before it.
         skipped = max(self._span - known, 0)
         if len(block) <= skipped:
             return
@@ -326,8 +328,8 @@ class _Ripple:
         if not free.any():
             return
         ripple, at = np.full(self._runs, -np.inf), np.zeros(self._runs, dtype=np.int64)
-        way = wanted * (self._span * self._interval_s)
-        _farthest_fast(points, self._span, np.flatnonzero(free), way, ripple, at)
+        distance = wanted * (self._span * self._interval_s)
+        _farthest_fast(points, self._span, np.flatnonzero(free), distance, ripple, at)
         index = at + skipped
         self._worst.offer(
             ripple,
@@ -337,7 +339,7 @@ class _Ripple:
         )
 
     def _held(self, block: Block) -> NDArray[np.bool_]:
-        """Return (n,) whether a hold, or its catching up, was within lag and span before."""
+        """Return (n,) whether a hold, or the return to speed after it, was within lag and span."""
         if block.slow is None:
             return np.zeros(len(block), dtype=np.bool_)
         latest = np.where(block.slow, np.arange(len(block)), self._slow)

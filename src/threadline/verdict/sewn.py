@@ -23,7 +23,7 @@ from threadline.verdict.samples import Block, Setting, lanes
 class SewnClock:
     """Converts times of the plan into times of a recording, and back, over the buffered samples.
 
-    Until the first hold the two are equal, bit for bit.
+    Until the first hold the two are equal, to the bit.
     """
 
     def __init__(self) -> None:
@@ -74,9 +74,9 @@ class SewnClock:
 
 
 _ACTUAL = (ChannelKind.TOOL, ChannelKind.LOAD)
-_BEHIND, _AHEAD = 12, 3  # stitches around its own that a needle-down is compared with
+_BEHIND, _AHEAD = 12, 3  # stitches before and after its own that a needle-down is compared with
 _PARTS = 256  # of the averaging time of a speed: finer samples add nothing
-_FINE_S = 0.002  # or this much, since the averaging time is at most a part of a stitch
+_FINE_S = 0.002  # or of this time, since the averaging time is at most a part of a stitch
 _TO_SPEED = 2  # exempt stitches before and after a rest
 _SLOWEST = 1e-3  # of the highest speed of a following needle
 Figure = Literal["length", "placement", "speed", "time"]
@@ -92,22 +92,23 @@ class SewnStitches:
     Parameters
     ----------
     stitches
-        n of them.
+        The n stitches.
     down_s
         (n,) times of needle-down, the delay included.
     actual, begun
         (n, axes, runs) tool position at this and at the previous needle-down; lengths at the tool.
     length_error
-        (n, runs) distance moved since the previous needle-down divided by the wanted one, minus 1.
+        (n, runs) distance moved since the previous needle-down over the wanted distance, minus 1.
     placement_m
         (n, runs) distance of ``actual`` from the seam: the nearest point of the nearby stitches.
     speed_error
-        (n, runs) relative error of the head's speed against the stitch's wanted length over its
-        planned time, or times the planned needle speed if the needle follows the head. Speeds are
-        means over ``over_s``, or over ``PART_OF_STITCH`` of the stitch if that is less; the error
-        is the largest in the stitch, with its sign; NaN in a hold and two stitches after it.
+        (n, runs) relative error of the head's speed. The wanted speed is the wanted length of the
+        stitch over its planned time, or times the planned needle speed if the needle follows the
+        head. Speeds are means over ``over_s``, or over ``PART_OF_STITCH`` of the stitch if that is
+        less. The error is the largest in the stitch, with its sign; NaN in a hold and for two
+        stitches after it.
     speed_s
-        (n, runs) the instant at the end of that mean.
+        (n, runs) the instant at the end of the averaging time.
 
     ``placement_m``, ``speed_error`` and ``speed_s`` are empty unless requested.
     """
@@ -123,12 +124,12 @@ class SewnStitches:
 
 
 class StitchFollower:
-    """Takes the tool's position and returns the stitches that were sewn meanwhile.
+    """Takes the tool's position and returns the stitches sewn meanwhile.
 
-    Between samples the position is the cubic through the places and velocities of the loads
-    (``bow``). Where velocities are unknown it is taken as straight, and off by at most a T^2 / 8 at
-    an acceleration a in a sample interval T. Stitches are returned as soon as they are complete, so
-    that only the samples of a stitch and of a block are kept.
+    Between samples the path is the cubic Hermite interpolant of positions and velocities (``bow``).
+    Without velocities it is taken as straight; the error is at most a T^2 / 8 with an acceleration
+    a and a sample interval T. Stitches are returned as soon as they are complete, so only the
+    samples of a stitch and of a block are kept.
 
     Parameters
     ----------
@@ -243,9 +244,9 @@ class StitchFollower:
         if not self._bows:
             return np.asarray(start + part * step)
         long_s = long_s[:, None, None]
-        out, back = (self._speeds_m_s[k] * long_s - step for k in (before, after))
-        bow = part * (1.0 - part) * ((1.0 - part) * out - part * back)
-        return np.asarray(start + part * step + bow)
+        m0, m1 = (self._speeds_m_s[k] * long_s - step for k in (before, after))
+        deviation = part * (1.0 - part) * ((1.0 - part) * m0 - part * m1)
+        return np.asarray(start + part * step + deviation)
 
     def _finish(self, run: Stitches) -> SewnStitches:
         down_s = self._clock.when(run.down_s) + self._delay_s
@@ -296,7 +297,7 @@ class StitchFollower:
         within |= at_s == end_s[stitch]
         at_s, stitch, over_s = at_s[within], stitch[within], over_s[within]
         way = self._at(at_s) - self._at(at_s - over_s)
-        # Far below the resolution of the timing a stitch may get no time: then its speed is zero.
+        # A stitch far below the resolution of the timing may take no time: its speed is infinite.
         with np.errstate(divide="ignore"):
             wanted = (run.target_m / lasts_s)[stitch]
             if run.follows.any():
@@ -305,7 +306,7 @@ class StitchFollower:
                 share = (run.target_m / way_m)[stitch[own]]
                 due_s = self._clock.due(at_s[own] - self._delay_s)
                 geared = share * self._geared_m_s(due_s, over_s[own])
-                # Beside a rest, where stitches are exempt, the planned speed is not near zero.
+                # The planned speed falls to zero beside a rest, where stitches are exempt.
                 least = _SLOWEST * (run.target_m * run.fastest_hz)[stitch[own]]
                 wanted[own] = np.maximum(geared, least)
             wanted = wanted[:, None]
@@ -320,7 +321,7 @@ class StitchFollower:
         first = np.minimum.reduceat(np.where(sizes == worst, rows, len(stitch)), starts)
         first = np.minimum(first, len(stitch) - 1)
         worst_error = np.take_along_axis(error, first, axis=0)
-        # After a hold the head regains its speed as after a rest: within so many stitches.
+        # After a hold the head regains its speed within ``_TO_SPEED`` stitches, as after a rest.
         since_s = np.concatenate([self._begun_s, begin_s])
         worst_error[self._clock.slowed(since_s[: len(run)] - self._over_s, end_s)] = np.nan
         return worst_error, at_s[first]

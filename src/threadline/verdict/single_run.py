@@ -1,8 +1,8 @@
 """Contour and progress error of a single run, in a sweep without a loop over runs.
 
 A loop over one run costs more than its content. The number of axes is not known at compile time:
-one function serves all machines. The operations and their order are the same as in the loops
-over many runs (``nearest``, ``boxes``, ``places``): a run gives the same bits alone or with others.
+one function serves all machines. The operations and their order are the same as in the loops over
+many runs (``nearest``, ``boxes``, ``places``): a run gives the same bits alone or with others.
 """
 
 from __future__ import annotations
@@ -11,49 +11,55 @@ import numpy as np
 
 from threadline.base.arrays import FloatArray, IntArray
 from threadline.base.compiled import njit
-from threadline.verdict.bow import Bows, across, beside, look_along, may_be_farther
+from threadline.verdict.bow import (
+    Bows,
+    Span,
+    bow_across,
+    deviation,
+    may_be_farther,
+    search_span,
+)
 from threadline.verdict.contour import ContourPart
-from threadline.verdict.nearest import look_between
+from threadline.verdict.nearest import Candidates, Chords, Search, Shares, search_segment
 from threadline.verdict.places import ProgressPart, ahead
 
 
 def _nearest_chords(
     points: FloatArray,
-    begin: IntArray,
-    end: IntArray,
-    vertices: FloatArray,
-    way: FloatArray,
-    length: FloatArray,
+    candidates: Candidates,
+    chords: Chords,
     share: FloatArray,
     squared: FloatArray,
     chord: IntArray,
 ) -> None:
     """Fill in the squared distance of each of (n, axes) points to its candidate chords.
 
-    ``chord`` is the first of the nearest. ``share``, (n, axes), weighs the axes; empty means equal
-    weights. As ``nearest.nearest_of_all``.
+    ``chord`` becomes the first of the nearest chords. ``share``, (n, axes), weighs the axes; empty
+    means equal weights. As ``nearest.nearest_of_all``.
     """
-    axes, weighed = points.shape[1], len(share) > 0
+    begin, end = candidates
+    vertices, vector, length = chords
+    axes, weighted = points.shape[1], len(share) > 0
     for i in range(len(points)):
         least, nearest = np.inf, begin[i]
         for c in range(begin[i], end[i] + 1):
             along, size, away = 0.0, length[c], 0.0
-            if weighed:
+            if weighted:
                 size = 0.0
                 for a in range(axes):
-                    part = share[i, a] * way[c, a]
+                    part = share[i, a] * vector[c, a]
                     along += share[i, a] * (points[i, a] - vertices[c - 1, a]) * part
                     size += part * part
                 size = size if size > 0.0 else 1.0
             else:
                 for a in range(axes):
-                    along += (points[i, a] - vertices[c - 1, a]) * way[c, a]
+                    along += (points[i, a] - vertices[c - 1, a]) * vector[c, a]
             where = along / size
             where = where if where > 0.0 else 0.0
             where = where if where < 1.0 else 1.0
             for a in range(axes):
-                gap = points[i, a] - vertices[c - 1, a] - where * way[c, a]
-                if weighed:
+                gap = points[i, a] - vertices[c - 1, a] - where * vector[c, a]
+                if weighted:
                     gap *= share[i, a]
                 away += gap * gap
             if away < least:
@@ -71,17 +77,17 @@ def _to_vertex(
     vertices: FloatArray,
     v: int,
     share: FloatArray,
-    pace: FloatArray,
+    tangents: FloatArray,
 ) -> tuple[float, float]:
-    """Return the squared distance of a vertex to the way to point i, and its place (0..1)."""
-    axes, weighed = points.shape[1], len(share) > 0
-    bowed = len(pace) > 0
+    """Return the squared distance of vertex v to the path into sample i, and its place (0..1)."""
+    axes, weighted = points.shape[1], len(share) > 0
+    bowed = len(tangents) > 0
     along, size, away = 0.0, 0.0, 0.0
     for a in range(axes):
         start = points[i - 1, a] if i else before[a, 0]
-        of = share[v, a] if weighed else 1.0
-        step = of * (points[i, a] - start)
-        along += of * (vertices[v, a] - start) * step
+        weight = share[v, a] if weighted else 1.0
+        step = weight * (points[i, a] - start)
+        along += weight * (vertices[v, a] - start) * step
         size += step * step
     where = along / (size if size > 0.0 else 1.0)
     where = where if where > 0.0 else 0.0
@@ -90,15 +96,16 @@ def _to_vertex(
         start = points[i - 1, a] if i else before[a, 0]
         gap = vertices[v, a] - start - where * (points[i, a] - start)
         if bowed:
-            gap -= beside(where, points[i, a] - start, pace[i, a, 0], pace[i + 1, a, 0])
-        if weighed:
+            m0, m1 = tangents[i, a, 0], tangents[i + 1, a, 0]
+            gap -= deviation(where, points[i, a] - start, m0, m1)
+        if weighted:
             gap *= share[v, a]
         away += gap * gap
     if bowed:
         last = 0.0
         for a in range(axes):
             gap = vertices[v, a] - points[i, a]
-            if weighed:
+            if weighted:
                 gap *= share[v, a]
             last += gap * gap
         where = 1.0 if last < away else where
@@ -109,75 +116,73 @@ def _to_vertex(
 _to_vertex_fast = njit(nogil=True)(_to_vertex)
 
 
-def _leave_path(
+def _raise_and_lower(
     points: FloatArray,
     squared: FloatArray,
     chord: IntArray,
     vertices: FloatArray,
-    share: FloatArray,
-    vertex_share: FloatArray,
+    shares: Shares,
     bows: Bows,
     part: ContourPart,
 ) -> None:
-    """Raise the worst to the samples and their ways; lower the distances of vertices.
+    """Raise the farthest place by the samples and the paths between; lower vertex distances.
 
-    ``squared`` and ``chord``, (n,), belong to the nearest chord of each sample. A vertex that is as
-    near as the worst is skipped.
+    ``squared`` and ``chord``, (n,), belong to the nearest chord of each sample. A vertex that is
+    already as near as the farthest place is skipped.
     """
-    bowed, pace, most = bows
+    bowed, tangents, most = bows
     # Each tuple access would count references.
+    share, vertex_share = shares
     (
-        begin, end, time_s, before, chord_before, fresh, worst, at, place, nearest, best,
-        best_time_s, _, _, off, pace_before,
+        begin, end, time_s, before, chord_before, fresh, farthest, closest, _, _, off,
+        tangent_before,
     ) = part  # fmt: skip
+    worst, at, place, nearest = farthest
+    best, best_time_s = closest
     samples, axes = points.shape
-    here, there, of = np.empty(axes), np.empty(axes), np.ones(axes)
+    here, there, weights = np.empty(axes), np.empty(axes), np.ones(axes)
     if fresh:
         for a in range(axes):
             before[a, 0] = points[0, a]
         chord_before[0], off[0] = chord[0], squared[0]
-    out, back = np.empty(axes), np.empty(axes)
+    m0, m1 = np.empty(axes), np.empty(axes)
+    run = len(worst) - 1  # 0: a literal would be compiled once more
     for i in range(samples):
         if squared[i] > worst[0]:
             worst[0], at[0], place[0], nearest[0] = squared[i], i, 1.0, chord[i]
-        left_from = chord[i - 1] if i else chord_before[0]
-        if bowed or chord[i] != left_from:
+        near_start = chord[i - 1] if i else chord_before[0]
+        if bowed or chord[i] != near_start:
             for a in range(axes):
                 here[a] = points[i - 1, a] if i else before[a, 0]
                 there[a] = points[i, a]
                 if len(share):
-                    of[a] = share[i, a]
-        if chord[i] != left_from:
-            low, high = min(begin[i], begin[i + 1]), max(end[i], end[i + 1])
-            look_between(
-                here, there, low, high, left_from, chord[i], vertices, of,
-                worst, at, place, nearest, len(worst) - 1, i,
-            )  # fmt: skip
+                    weights[a] = share[i, a]
+        low, high = min(begin[i], begin[i + 1]), max(end[i], end[i + 1])
+        search = Search(vertices, low, high, near_start, chord[i])
+        if chord[i] != near_start:
+            search_segment(here, there, weights, search, farthest, run, i)
         if bowed:
             long = 0.0
-            if chord[i] != left_from:
+            if chord[i] != near_start:
                 for a in range(axes):
-                    long += (of[a] * (there[a] - here[a])) ** 2
+                    long += (weights[a] * (there[a] - here[a])) ** 2
                 long = np.sqrt(long)
             first = squared[i - 1] if i else off[0]
             bow = most[i, 0, 0]
-            if long == 0.0 and may_be_farther(first, squared[i], long, bow, worst[0]):
-                for a in range(axes):
-                    out[a], back[a] = pace[i, a, 0], pace[i + 1, a, 0]
-                c = chord[i]
-                bow = across(here, there, out, back, vertices[c - 1], vertices[c], of, bow)
             if may_be_farther(first, squared[i], long, bow, worst[0]):
                 for a in range(axes):
-                    out[a], back[a] = pace[i, a, 0], pace[i + 1, a, 0]
-                low, high = min(begin[i], begin[i + 1]), max(end[i], end[i + 1])
-                look_along(
-                    here, there, out, back, low, high, vertices, of,
-                    worst, at, place, nearest, len(worst) - 1, i,
-                )  # fmt: skip
+                    m0[a], m1[a] = tangents[i, a, 0], tangents[i + 1, a, 0]
+                span = Span(here, there, m0, m1)
+                if long == 0.0:
+                    bow = bow_across(span, weights, search, bow)
+                if may_be_farther(first, squared[i], long, bow, worst[0]):
+                    search_span(span, weights, search, farthest, run, i)
         least = worst[0]
         for v in range(begin[i] - 1, end[i + 1] + 1):
             if best[v, 0] > least:
-                away, where = _to_vertex_fast(points, before, i, vertices, v, vertex_share, pace)
+                away, where = _to_vertex_fast(
+                    points, before, i, vertices, v, vertex_share, tangents
+                )
                 if away < best[v, 0]:
                     best[v, 0] = away
                     best_time_s[v, 0] = time_s[i] + where * (time_s[i + 1] - time_s[i])
@@ -185,32 +190,21 @@ def _leave_path(
         before[a, 0] = points[samples - 1, a]
     chord_before[0], off[0] = chord[samples - 1], squared[samples - 1]
     for a in range(axes if bowed else 0):
-        pace_before[a, 0] = pace[samples, a, 0]
+        tangent_before[a, 0] = tangents[samples, a, 0]
 
 
-contour_of_one = njit(nogil=True)(_leave_path)
+contour_of_one = njit(nogil=True)(_raise_and_lower)
 
 
-def _advance(
-    points: FloatArray,
-    off: FloatArray,
-    command: FloatArray,
-    way: FloatArray,
-    inverse: FloatArray,
-    length: FloatArray,
-    heading: FloatArray,
-    counts: tuple[int, int, int],
-    places: IntArray,
-    value: FloatArray,
-    worst: FloatArray,
-    at: IntArray,
-    side: FloatArray,
-) -> None:
+def _advance(points: FloatArray, off: FloatArray, part: ProgressPart) -> None:
     """Advance the places of the command by (n, axes) samples: ``places.move_on`` for one run.
 
-    ``counts`` are ``first``, ``number`` and ``lag`` of the part.
+    ``off``, (n,), are the squared distances of the samples from the path.
     """
-    first, number, lag = counts
+    (
+        segments, first, number, lag, places, value, worst, at, side, _, _, _, _,
+    ) = part  # fmt: skip
+    command, vector, inverse, length, heading = segments
     samples, axes = points.shape
     rows, origin = len(value), number - first
     low, high, most = places[0], places[1], worst[0]
@@ -224,16 +218,16 @@ def _advance(
         k, row = low, (origin + low) % rows
         while True:
             # Only the end of the first place is within the lag.
-            start, per_length, long = (k - 1, inverse[k], length[k]) if k > begin else (k, 0.0, 0.0)
+            start, per_square, long = (k - 1, inverse[k], length[k]) if k > begin else (k, 0.0, 0.0)
             left, held = carry, value[row, 0] if k <= high else carry
             along, away = 0.0, 0.0
             for a in range(axes):
-                along += (points[i, a] - command[start, a]) * way[k, a]
-            place = along * per_length
+                along += (points[i, a] - command[start, a]) * vector[k, a]
+            place = along * per_square
             where = place if place > 0.0 else 0.0
             where = where if where < 1.0 else 1.0
             for a in range(axes):
-                gap = points[i, a] - command[start, a] - where * way[k, a]
+                gap = points[i, a] - command[start, a] - where * vector[k, a]
                 away += gap * gap
             error = away - off[i]
             behind = np.sqrt(left) - where * long
@@ -257,18 +251,9 @@ def _advance(
             while value[(origin + k) % rows, 0] > least:
                 k += 1
             within = k > begin
-            start, per_length = (k - 1, inverse[k]) if within else (k, 0.0)
-            side[0] = ahead(points[i], command[start], way[k], per_length, heading[k])
+            start, per_square = (k - 1, inverse[k]) if within else (k, 0.0)
+            side[0] = ahead(points[i], command[start], vector[k], per_square, heading[k])
     places[0], places[1], worst[0] = low, high, most
 
 
-_advance_fast = njit(nogil=True)(_advance)
-
-
-def progress_of_one(points: FloatArray, off: FloatArray, part: ProgressPart) -> None:
-    """Advance the places of the command by (n, axes) samples at ``off``, squared, from the path."""
-    _advance_fast(
-        points, off, part.command, part.way, part.inverse, part.length, part.heading,
-        (part.first, part.number, part.lag), part.places, part.value, part.worst, part.at,
-        part.side,
-    )  # fmt: skip
+progress_of_one = njit(nogil=True)(_advance)

@@ -1,4 +1,4 @@
-"""Read specification files: strict, with the nearest right key and the line of every mistake."""
+"""Read specification files strictly: errors name the line, and the nearest valid key."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _TOP = ("name", "lag", "criteria")
 _COMMON = ("name", "axis", "limit", "required")
 _OWN = "machine"  # stands for the machine's own limit
 _LOOSER = "the machine's own limit, which the specification cannot widen"
-_ROUNDING = 1e-12  # relative: a limit this close to the machine's is the machine's
+_ROUNDING = 1e-12  # relative: a limit this close to the machine's limit equals it
 _LAG_S = 0.1
 _FEWEST = 2  # recordings for a spread
 _MOST_LAG_S = 3600.0
@@ -60,19 +60,20 @@ def load_spec(reference: str | Path | None, machine: Machine) -> Spec:
     """Read a specification, or the default one of ``machine``.
 
     The criteria of ``always_of`` are added for every axis for which the file does not mention them.
-    For an axis with a path they are travel, velocity, acceleration and jerk with the machine's
-    limits, path deviation, tracking error, and DAC saturation or (driven by pulses) lost steps; for
-    an on/off machine the vibration of its frame at each step, the time of the cycle, and the limits
-    of its valves; for an embroidery machine the residual of the stitches and the limits of its step
-    tables and servos. A wider limit in the file does not replace the machine's own.
+    For an axis with a path these are travel, velocity, acceleration and jerk with the machine's
+    limits, path deviation, tracking error, and DAC saturation or (driven by pulses) lost steps. For
+    an on/off machine these are the vibration of its frame at each step, the cycle time, and the
+    limits of its valves. For an embroidery machine these are the residual of the stitches and the
+    limits of its step tables and servos. A wider limit in the file does not replace the machine's
+    own limit.
 
     Parameters
     ----------
     reference
-        A file; None for the default: beside a machine file ``NAME.toml`` the file
-        ``NAME.spec.toml`` or ``spec.toml``, else the library's for its name or for its base
-        machine. Without any, the machine's own limits are the criteria; of axes with dynamics also
-        0.5 mm of contour error. The name of the specification says so.
+        A file; None for the default: the file ``NAME.spec.toml`` or ``spec.toml`` in the folder of
+        a machine file ``NAME.toml``, else the library's specification for the machine or its base
+        machine. Without any file the machine's own limits are the criteria; with axes that have
+        dynamics also 0.5 mm of contour error. The name of the specification says so.
     machine
         The machine with its axes, units and limits.
 
@@ -87,7 +88,7 @@ def load_spec(reference: str | Path | None, machine: Machine) -> Spec:
 
 
 def _default(machine: Machine) -> tuple[str, str]:
-    """Return the default specification; a machine based on another uses that of its base."""
+    """Return the default specification; without its own, a machine uses its base's."""
     name = machine.name.split("+")[0]
     reference, _ = split_reference(machine.reference)
     own = Path(reference)
@@ -150,7 +151,7 @@ class _Reader:
         for index, row in enumerate(rows):
             for criterion in self._criteria(row, index):
                 key = criterion.name, criterion.axis, criterion.step
-                # A criterion for one axis replaces the one for every axis, whatever their order.
+                # A criterion for one axis replaces a criterion for every axis, in any order.
                 if key in criteria and criteria[key].every_axis == criterion.every_axis:
                     axis = f" of axis {key[1]}" if key[1] else ""
                     self._refuse(f"{key[0]}{axis} is there twice", index, "name", "Keep one.")
@@ -174,10 +175,10 @@ class _Reader:
         )
 
     def _unnamed(self, named: Mapping[tuple[str, str, str], Criterion]) -> list[Criterion]:
-        """Return the criteria that hold without being in the file, axis by axis.
+        """Return the criteria that apply although the file does not name them, axis by axis.
 
-        These are the criteria that every verdict lists, and the machine's own limits, which a file
-        may narrow but not widen.
+        These are the criteria that every verdict lists, and the machine's own limits. A file can
+        narrow these limits but not widen them.
         """
         found = []
         for name in self._always.listed:

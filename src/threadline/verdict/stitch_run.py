@@ -1,10 +1,8 @@
-"""Measures of stitches: the worst stitch by one of its figures, for seams and embroidery.
+"""Measures of stitches: the worst stitch by length, placement, speed, time, residual or force.
 
-The channel ``needle`` tells when the needle was in the cloth, simulated or live: its k-th entry is
-the k-th stitch of the design.
-
-Each measure names the worst stitch by block and number, how many exceed the limit, and the shaft
-speed at which the worst would not.
+In embroidery the channel ``needle`` records when the needle is in the cloth, simulated or live: its
+k-th entry is the k-th stitch of the design. Each measure names the worst stitch by block and
+number, how many stitches exceed the limit, and the shaft speed at which the worst would not.
 """
 
 from __future__ import annotations
@@ -38,7 +36,7 @@ SHORT = "the recording ends before this stitch"
 
 
 class _Stitching:
-    """The worst stitch by one of its figures."""
+    """The worst stitch by its length, placement, speed or time."""
 
     def __init__(
         self, setting: Setting, delay_s: float, figure: Figure, over_s: float = 0.002
@@ -100,8 +98,8 @@ class _Stitching:
 def turn_error(run: Stitches) -> FloatArray:
     """Return (n,) relative errors of the planned times of stitches.
 
-    They are relative to the programmed time, or to the nearer bound of a needle that follows the
-    head; beside a rest such a needle may turn as slowly as necessary.
+    They are relative to the programmed time, or for a needle that follows the head to the nearer
+    bound of its speed range; beside a rest such a needle may turn as slowly as necessary.
     """
     own = (run.down_s - run.from_s) / run.period_s - 1.0
     slowest = np.where(run.departs | run.stops, 0.0, run.slowest_hz)
@@ -147,18 +145,18 @@ NEEDLE = "needle"
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Sewn:
-    """Results of each stitch; s stitches, A axes; NaN if it was not seen.
+    """Results of each stitch; s stitches, A axes; NaN for a stitch that was not seen.
 
     Parameters
     ----------
     residual_m
         (s, A) largest distance of the frame from its place while the needle was in the cloth.
     time_s
-        (s, A) its time.
+        (s, A) time of that distance.
     force
         (s, A) largest share of the servo's force since the previous stitch.
     force_s
-        (s, A) its time.
+        (s, A) time of that force.
     seen
         Number of recorded needle entries.
     until_s
@@ -174,7 +172,7 @@ class Sewn:
 
 
 class StitchRun:
-    """A recording beside its stitches; one block of samples is in memory at a time.
+    """A recording with its stitches; one block of samples is in memory at a time.
 
     Parameters
     ----------
@@ -221,7 +219,7 @@ class StitchRun:
         if not any(c.name == NEEDLE for c in self.recording.channels):
             return "no needle channel: nobody knows when it was in the cloth"
         needle = self.recording.channel(NEEDLE)
-        for channel in self._read_beside:
+        for channel in self._read_together:
             if (channel.clock, channel.stride) != (needle.clock, needle.stride):
                 return f"{channel.name} and {NEEDLE} are not of the same instants"
         return ""
@@ -261,8 +259,8 @@ class StitchRun:
         return self.unseen_why()
 
     @property
-    def _read_beside(self) -> list[Channel]:
-        """Channels that are read together with the needle's, sample by sample."""
+    def _read_together(self) -> list[Channel]:
+        """Channels that are read sample by sample with the needle's channel."""
         kinds = (ChannelKind.LOAD, ChannelKind.TORQUE_SHARE)
         found = [self.recording.find(kind, axis) for kind in kinds for axis in self.plan.axes]
         return [channel for channel in found if channel is not None]
@@ -337,7 +335,7 @@ _MINUTE = 60.0
 
 
 def measure_tables(plan: Plan) -> Mapping[str, Sequence[Finding]]:
-    """Return the measures of the plan alone: use of windows, steps, loading of tables, travel."""
+    """Return the measures of the plan alone: use of windows, step rate, table loading, travel."""
     stitched = plan.stitched
     return {
         "window_use": [_window_use(stitched)],
@@ -383,7 +381,7 @@ def window_uses(stitched: Stitched) -> FloatArray:
 
 
 def step_rates_hz(stitched: Stitched, column: int) -> FloatArray:
-    """Return (n,) highest step rate of an axis in each turn, Hz; 0 while it stands."""
+    """Return (n,) highest step rate of an axis in each turn, Hz; 0 while it rests."""
     commands, turns = stitched.commands, stitched.turns
     shortest = np.minimum.reduceat(*concatenated_intervals(commands.library)).astype(np.float64)
     tick_s = np.full(len(turns), float(commands.clock.period_s))
@@ -451,7 +449,7 @@ def stitch_residual(run: StitchRun, _options: Mapping[str, float]) -> list[Findi
 
 
 def servo_force(run: StitchRun, _options: Mapping[str, float]) -> list[Finding]:
-    """Per axis: the largest share of its servo's force."""
+    """Per axis: the largest used share of the servo's force."""
     sewn = run.sewn
     return [
         _worst(run, sewn.force[:, k], sewn.force_s[:, k], axis)

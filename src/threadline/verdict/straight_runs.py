@@ -1,13 +1,14 @@
-"""Join consecutive moves along one straight line: no verdict depends on how a line is cut.
+"""Join consecutive moves along one straight line, so that no verdict depends on their number.
 
-The judge holds whole chords around a sample. A straight move that a program writes as two would
-otherwise have a smaller window than the same move in one, and another contour error.
+The judge compares a sample with the whole chords around it. If a program wrote one straight move as
+two, the window would otherwise be smaller, and the contour error different.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -22,19 +23,19 @@ _MOST_PARTS = 1 << 16  # moves of one run whose job lines are kept
 
 @dataclass(frozen=True, slots=True)
 class Runs:
-    """Consecutive straight runs, m of them; the start of a path is the first, with no length.
+    """Consecutive straight runs, m of them; the first is the start of the path, without length.
 
     Attributes
     ----------
     vertices
-        (m, axes) end of each, lengths at the tool: rotary axes times their radius.
+        (m, axes) end of each run, lengths at the tool: rotary axes times their radius.
     begun, operation, line
-        (m,) first and last operation of each, and the job line of the last.
+        (m,) first and last operation of each run, and the job line of the last operation.
     speed_m_s
         (m,) programmed speed at the tool; NaN without one.
     part_of, part_m, part_operation, part_line
-        (k,) for each move: its run, the distance of its end from where the run begins, its
-        operation and its job line. Of very long runs they are every second move, or every fourth,
+        (k,) for each move: its run, the distance of its end from the start of the run, its
+        operation and its job line. A very long run lists only every second move, or every fourth,
         and so on.
     """
 
@@ -54,7 +55,7 @@ class Runs:
 
 @dataclass(slots=True)
 class _Moves:
-    """(k, axes) ends of moves, and (k,) their other columns."""
+    """(k, axes) ends of moves, and (k,) operation, job line and speed of each."""
 
     vertices: FloatArray
     operation: IntArray
@@ -65,7 +66,7 @@ class _Moves:
         return len(self.operation)
 
     def after(self, before: _Moves) -> _Moves:
-        """Return the moves ``before``, and these."""
+        """Return the moves ``before``, followed by these."""
         return _Moves(
             np.concatenate([before.vertices, self.vertices]),
             np.concatenate([before.operation, self.operation]),
@@ -80,24 +81,31 @@ class _Moves:
         )
 
 
-class _Open:
-    """The run that is being read: what ``_find_ends`` knows of it.
+class _Open(NamedTuple):
+    """The run that is being read, updated in place by ``_find_ends``.
 
-    ``corner`` is where it begins, ``last`` the end of its last move. All its vertices are on one
-    line in each direction within ``numbers[0]`` of ``heading``; below 0 any direction will do.
+    It begins at ``corner``, and its last move ends at ``last``. All its vertices are on one line in
+    each direction within ``numbers[0]`` of ``heading``, or in any direction if that is below 0.
     ``numbers[1]`` is its length so far, ``numbers[2]`` its speed (below 0: no move of any length
     yet), and ``numbers[3]`` is 1 if the machine rests at ``last``, and 2 at the start.
     """
 
-    def __init__(self, start: FloatArray) -> None:
-        self.corner, self.last = start.copy(), start.copy()
-        self.heading = np.zeros(len(start))
-        self.numbers = np.array([-1.0, 0.0, -1.0, 2.0])
+    corner: FloatArray
+    last: FloatArray
+    heading: FloatArray
+    numbers: FloatArray
+
+
+def _opened(start: FloatArray) -> _Open:
+    """Return a run without moves at the start of a path."""
+    numbers = np.array([-1.0, 0.0, -1.0, 2.0])
+    return _Open(start.copy(), start.copy(), np.zeros(len(start)), numbers)
 
 
 @njit()
-def _goes_on(vertex, speed, corner, last, heading, numbers):  # type: ignore[no-untyped-def]
-    """Return whether the move from ``last`` to ``vertex`` belongs to the run."""
+def _goes_on(vertex, speed, run):  # type: ignore[no-untyped-def]
+    """Return whether the move to ``vertex`` belongs to the run."""
+    corner, last, heading, numbers = run
     if numbers[3] > 0.0:
         return False
     moved, length = 0.0, 0.0
@@ -122,12 +130,14 @@ def _goes_on(vertex, speed, corner, last, heading, numbers):  # type: ignore[no-
 
 
 @njit()
-def _take(vertex, speed, corner, last, heading, numbers):  # type: ignore[no-untyped-def]
+def _take(vertex, speed, run):  # type: ignore[no-untyped-def]
     """Add a move to the run.
 
-    The directions in which a vertex is on the line are a circle about its own, smaller with its
-    distance. What two circles have in common is a lens; the largest circle in it is kept.
+    The directions in which a vertex is on the line form a circle about the direction to the vertex;
+    its radius falls with the distance of the vertex. Two circles intersect in a lens. The largest
+    circle in the lens is kept.
     """
+    corner, last, heading, numbers = run
     moved, length = 0.0, 0.0
     for a in range(len(vertex)):
         moved += (vertex[a] - last[a]) ** 2
@@ -143,36 +153,37 @@ def _take(vertex, speed, corner, last, heading, numbers):  # type: ignore[no-unt
     for a in range(len(vertex)):
         away += ((vertex[a] - corner[a]) / length - heading[a]) ** 2
     away = np.sqrt(away)
-    known = numbers[0]
-    if known >= 0.0 and away + known <= own:
+    kept = numbers[0]
+    if kept >= 0.0 and away + kept <= own:
         return
     share = 1.0
-    if known < 0.0 or away + own <= known:
+    if kept < 0.0 or away + own <= kept:
         numbers[0] = own
     else:
-        numbers[0] = max(0.5 * (known + own - away), 0.0)
-        share = 0.5 * (known - own + away) / away
+        numbers[0] = max(0.5 * (kept + own - away), 0.0)
+        share = 0.5 * (kept - own + away) / away
     for a in range(len(vertex)):
         heading[a] += share * ((vertex[a] - corner[a]) / length - heading[a])
 
 
 @njit()
-def _find_ends(vertices, speed, rest, corner, last, heading, numbers, ends):  # type: ignore[no-untyped-def]
+def _find_ends(vertices, speed, rest, run, ends):  # type: ignore[no-untyped-def]
     """Fill in (n,) ``ends``: whether a run ends before each vertex; keep the last run open."""
+    corner, last, _, numbers = run
     for i in range(len(vertices)):
         start = numbers[3] == 2.0
-        ends[i] = not _goes_on(vertices[i], speed[i], corner, last, heading, numbers)
+        ends[i] = not _goes_on(vertices[i], speed[i], run)
         if ends[i]:
             # An assignment of arrays would compile numba's message about shapes, for two seconds.
             for a in range(len(corner)):
                 corner[a] = last[a]
             numbers[0], numbers[1], numbers[2], numbers[3] = -1.0, 0.0, -1.0, 0.0
-        _take(vertices[i], speed[i], corner, last, heading, numbers)
+        _take(vertices[i], speed[i], run)
         numbers[3] = 1.0 if rest[i] or start else 0.0
 
 
 def straight_runs(blocks: Iterable[VertexBlock], radius_m: FloatArray) -> Iterator[Runs]:
-    """Yield the straight runs of a path; in bounded memory, also of a run with many moves.
+    """Yield the straight runs of a path, in bounded memory even for a run with many moves.
 
     A run goes on while its moves have one direction and one speed, and the machine does not rest
     between them. All of its vertices are within a nanometre of one line.
@@ -180,7 +191,7 @@ def straight_runs(blocks: Iterable[VertexBlock], radius_m: FloatArray) -> Iterat
     Parameters
     ----------
     blocks
-        The vertices of the path, the first of them its start.
+        The vertices of the path; the first is its start.
     radius_m
         (axes,) lengths at the tool for each axis: m per m, or m per rad.
     """
@@ -191,19 +202,17 @@ def straight_runs(blocks: Iterable[VertexBlock], radius_m: FloatArray) -> Iterat
             continue
         vertices = block.positions * radius_m
         if run is None:
-            run = _Open(vertices[0])
+            run = _opened(vertices[0])
         before, corner = run.last[None].copy(), run.corner[None].copy()
         length = np.linalg.norm(np.diff(vertices, axis=0, prepend=before), axis=1)
         timed = block.nominal_s > 0
         speed = np.where(timed, length / np.where(timed, block.nominal_s, 1.0), np.nan)
         ends = np.empty(len(block), dtype=np.bool_)
-        _find_ends(
-            vertices, speed, block.rest, run.corner, run.last, run.heading, run.numbers, ends
-        )
-        known = 0 if held is None else len(held)
+        _find_ends(vertices, speed, block.rest, run, ends)
+        waiting = 0 if held is None else len(held)
         moves = _Moves(vertices, block.operation, block.line, speed)
         moves = moves if held is None else moves.after(held)
-        last = np.flatnonzero(ends) + known - 1  # the move before is the last of its run
+        last = np.flatnonzero(ends) + waiting - 1  # the move before is the last of its run
         last = last[last >= 0]
         done = int(last[-1]) + 1 if len(last) else 0
         if done:

@@ -12,9 +12,9 @@ from typing import NamedTuple, TypeVar
 
 import numpy as np
 
-from threadline.base.arrays import FloatArray, IntArray
+from threadline.base.arrays import FloatArray
 from threadline.base.compiled import njit
-from threadline.verdict.bow import NO_BETWEEN, NO_BOWS, Bows, bound_bows, charge_ways, raise_to_bows
+from threadline.verdict.bow import NO_BETWEEN, NO_BOWS, Bows, bound_bows, charge_bows, raise_to_bows
 from threadline.verdict.boxes import (
     COMPANY,
     NO_BOXES,
@@ -27,8 +27,20 @@ from threadline.verdict.contour import ContourPart, raise_to_samples
 from threadline.verdict.electrical import DacPart, PeakPart, RmsPart
 from threadline.verdict.finding import add_squares, count_beyond, raise_to_farthest
 from threadline.verdict.measure import Measure, SweptMeasure
-from threadline.verdict.nearest import between, charge_trailing, chord_vectors, nearest_chords_each
-from threadline.verdict.places import ProgressPart, move_on
+from threadline.verdict.nearest import (
+    Candidates,
+    Chords,
+    Closest,
+    Farthest,
+    Nearest,
+    Shares,
+    Track,
+    charge_trailing,
+    chords_of,
+    nearest_chords_each,
+    raise_to_segments,
+)
+from threadline.verdict.places import Command, ProgressPart, move_on
 from threadline.verdict.samples import Block, lanes
 from threadline.verdict.single_run import contour_of_one, nearest_of_one, progress_of_one
 from threadline.verdict.tracking import TrackingPart
@@ -41,22 +53,27 @@ AT_ONCE = 1 << 14
 """Samples times runs that are loaded together: more miss the cache, fewer cost more calls."""
 
 
-class _Chords(NamedTuple):
-    """The programmed path around a block: (m, axes) vertices, chord vectors, squared lengths.
+class _Path(NamedTuple):
+    """The programmed path around a block of n samples.
 
-    ``begin`` and ``end``, (n,), are the first and the last candidate chord for each sample;
-    ``left``, (n,), is the share of the first that the command had left by the lag before.
-    ``axes`` is a tuple with one entry per axis.
+    ``left``, (n,), is the share of the first candidate chord that the command had left by the lag
+    before. ``axes`` is a tuple with one entry per axis.
     """
 
-    begin: IntArray
-    end: IntArray
+    candidates: Candidates
     left: FloatArray
-    vertices: FloatArray
-    way: FloatArray
-    length: FloatArray
+    chords: Chords
     radius_m: FloatArray
     axes: tuple[int, ...]
+
+
+class _Parts(NamedTuple):
+    """The arrays of all measures that read every position; absent measures have empty arrays."""
+
+    contour: ContourPart
+    progress: ProgressPart
+    turning: TurningPart
+    tracking: TrackingPart
 
 
 def _scale(actual: FloatArray, radius_m: FloatArray, points: FloatArray) -> None:
@@ -73,104 +90,98 @@ _scale_fast = njit(nogil=True)(_scale)
 
 def _sweep(  # noqa: PLR0915 - one loop over parts of a block, whose arrays all measures share
     actual: FloatArray,
-    share: FloatArray,
-    vertex_share: FloatArray,
     time_s: FloatArray,
-    chords: _Chords,
-    contour: ContourPart,
-    progress: ProgressPart,
-    turning: TurningPart,
-    tracking: TrackingPart,
+    shares: Shares,
+    path: _Path,
+    parts: _Parts,
     at_once: int,
 ) -> None:
     """Let every measure take the (n, axes, runs) samples; an argument without runs is unused.
 
-    It is not compiled: its calls cost little compared with their work, and a compiled one would
-    compile all called functions again for each number of axes.
+    The function is not compiled: its calls cost little compared with their work, and compiling it
+    would compile all called functions again for each number of axes.
     """
+    contour, progress, turning, tracking = parts
+    share, vertex_share = shares
+    chords, axes_each = path.chords, path.axes
     samples, axes, runs = actual.shape
     at_once = max(min(at_once, samples), 1)
     follows = len(turning.closed) > 0
-    moves, leaves = len(progress.worst) > 0, len(contour.worst) > 0
-    path, weighed = (chords.vertices, chords.way, chords.length, chords.axes), len(share) > 0
-    of_place = share[:0]
-    # The row before the first is the previous sample.
+    moves, leaves = len(progress.worst) > 0, len(contour.farthest.squared) > 0
+    weighted = len(share) > 0
+    own_share = share[:0]
+    # Row 0 is the sample before.
     points, chord = np.empty((at_once + 1, axes, runs)), np.empty((at_once + 1, runs), np.int64)
-    squared, only = np.empty((at_once + 1, runs)), np.full(at_once + 1, -1)
+    squared, common = np.empty((at_once + 1, runs)), np.full(at_once + 1, -1)
     least, most = np.empty((at_once + 1, axes)), np.empty((at_once + 1, axes))
     boxes = Boxes(runs >= COMPANY, least, most, np.empty(runs), np.empty(runs))
     if leaves:
         points[0], chord[0], squared[0] = contour.point, contour.chord, contour.off
-    bows, bowed = NO_BOWS, leaves and len(contour.speed) > 0
+    bows, bowed = NO_BOWS, leaves and len(contour.velocity) > 0
     if bowed:
         bows = Bows(True, np.empty((at_once + 1, axes, runs)), np.empty((at_once, 1, runs)))
-        bows.pace[0] = contour.pace
+        bows.tangents[0] = contour.tangent
     for low in range(0, samples, at_once):
         high = min(low + at_once, samples)
-        count = high - low
-        here, near, away = points[1 : count + 1], chord[1 : count + 1], squared[1 : count + 1]
-        begin, end = chords.begin[low:high], chords.end[low:high]
+        rows = high - low + 1
+        here, near, away = points[1:rows], chord[1:rows], squared[1:rows]
+        candidates = Candidates(path.candidates.begin[low:high], path.candidates.end[low:high])
+        nearest = Nearest(away, near, common[1:])
         if tracking.at.size:
             command = tracking.command[low:high]
             raise_to_farthest(actual[low:high], command, tracking.size, tracking.at, low)
         if not (follows or moves or leaves):
             continue
-        _scale_fast(actual[low:high], chords.radius_m, here)
+        _scale_fast(actual[low:high], path.radius_m, here)
         if low == 0 and contour.fresh:
             points[0] = points[1]
         if boxes.known:
-            enclose(points[: count + 1], boxes)
+            enclose(points[:rows], boxes)
         if follows:
             follow_turnings(here, boxes, time_s[low:high], low, turning)
-        if not weighed and (leaves or moves):
-            nearest_in_boxes(here, begin, end, *path, away, near, only[1:])
+        if not weighted and (leaves or moves):
+            nearest_in_boxes(here, candidates, chords, axes_each, nearest)
         if moves:
-            if weighed:
-                nearest_chords_each(here, begin, end, *path, share[:0], away, near)
+            if weighted:
+                nearest_chords_each(here, candidates, chords, axes_each, share[:0], away, near)
             move_on(here, boxes, away, low, progress)
-            if len(progress.between.speed):
-                charge_ways(here, low, progress.between, progress.charge)
+            if len(progress.between.velocity):
+                charge_bows(here, low, progress.between, progress.charge)
         if leaves:
-            if weighed:
-                of_place = share[low:high]
-                nearest_chords_each(here, begin, end, *path, of_place, away, near)
+            if weighted:
+                own_share = share[low:high]
+                nearest_chords_each(here, candidates, chords, axes_each, own_share, away, near)
             if low == 0 and contour.fresh:
-                chord[0], only[0] = chord[1], only[1]
-            charge_trailing(
-                here, begin, end, chords.left[low:high], chords.vertices, of_place, away, near,
-                only[1:],
-            )  # fmt: skip
+                chord[0], common[0] = chord[1], common[1]
+            vertices = chords.vertices
+            charge_trailing(here, candidates, path.left[low:high], vertices, own_share, nearest)
+            raise_to_samples(nearest, low, contour.farthest)
             begin, end = contour.begin[low : high + 1], contour.end[low : high + 1]
-            found = contour.worst, contour.at, contour.part, contour.nearest
-            raise_to_samples(away, near, only[1:], low, *found)
-            between(
-                here, points[0], near, chord[0], only, begin, end, chords.vertices, of_place,
-                *found, low,
-            )  # fmt: skip
+            track = Track(points[:rows], contour.time_s[low : high + 1], begin, end, low)
+            with_before = Nearest(squared[:rows], chord[:rows], common[:rows])
+            raise_to_segments(track, with_before, vertices, own_share, contour.farthest)
             if bowed:
-                _scale_fast(contour.speed[low:high], contour.reach, bows.pace[1 : count + 1])
+                _scale_fast(contour.velocity[low:high], contour.scale, bows.tangents[1:rows])
                 if low == 0 and contour.fresh:
-                    squared[0], bows.pace[0] = squared[1], bows.pace[1]
-                bound_bows(here, points[0], of_place, bows)
+                    squared[0], bows.tangents[0] = squared[1], bows.tangents[1]
+                bound_bows(points[:rows], own_share, bows)
                 raise_to_bows(
-                    here, points[0], squared, near, chord[0], only, begin, end, chords.vertices,
-                    chords.axes, of_place, bows, *found, low,
-                )  # fmt: skip
+                    track, bows, with_before, vertices, axes_each, own_share, contour.farthest
+                )
             vertices_to_path(
-                here, points[0], contour.time_s[low : high + 1], begin, end, chords.vertices,
-                chords.axes, vertex_share, boxes, bows, contour.worst, contour.best,
-                contour.best_time_s,
+                track, bows, boxes, vertices, axes_each, vertex_share, contour.farthest.squared,
+                contour.closest,
             )  # fmt: skip
-            points[0], chord[0], only[0] = points[count], chord[count], only[count]
-            squared[0] = squared[count]
+            points[0], chord[0], common[0] = points[rows - 1], chord[rows - 1], common[rows - 1]
+            squared[0] = squared[rows - 1]
             if bowed:
-                bows.pace[0] = bows.pace[count]
+                bows.tangents[0] = bows.tangents[rows - 1]
     if leaves:
         contour.off[:] = squared[0]
         if bowed:
-            contour.pace[:] = bows.pace[0]
+            contour.tangent[:] = bows.tangents[0]
         contour.point[:] = points[0]
-        contour.chord[:] = chord[0] if only[0] < 0 else only[0]
+        contour.chord[:] = chord[0] if common[0] < 0 else common[0]
 
 
 def _sweep_drives(peak: PeakPart, rms: RmsPart, dac: DacPart, at_once: int) -> None:
@@ -197,13 +208,14 @@ _NONE, _NO_NUMBERS = np.empty(0), np.empty(0, dtype=np.int64)
 _NO_ROWS, _NO_ROWS_OF_NUMBERS = np.empty((0, 0)), np.empty((0, 0), dtype=np.int64)
 _NO_CONTOUR = ContourPart(
     begin=_NO_NUMBERS, end=_NO_NUMBERS, time_s=_NONE, point=_NO_ROWS, chord=_NO_NUMBERS,
-    fresh=True, worst=_NONE, at=_NO_NUMBERS, part=_NONE, nearest=_NO_NUMBERS, best=_NO_ROWS,
-    best_time_s=_NO_ROWS, speed=np.empty((0, 0, 0)), reach=_NONE, off=_NONE, pace=_NO_ROWS,
+    fresh=True, farthest=Farthest(_NONE, _NO_NUMBERS, _NONE, _NO_NUMBERS),
+    closest=Closest(_NO_ROWS, _NO_ROWS), velocity=np.empty((0, 0, 0)), scale=_NONE, off=_NONE,
+    tangent=_NO_ROWS,
 )  # fmt: skip
 _NO_PROGRESS = ProgressPart(
-    command=_NO_ROWS, way=_NO_ROWS, inverse=_NONE, length=_NONE, heading=_NO_ROWS, first=0,
-    number=0, lag=0, places=_NO_NUMBERS, value=_NO_ROWS, worst=_NONE, at=_NO_NUMBERS,
-    side=_NONE, ceiling=_NONE, dropped=_NONE, between=NO_BETWEEN, charge=_NONE,
+    command=Command(_NO_ROWS, _NO_ROWS, _NONE, _NONE, _NO_ROWS), first=0, number=0, lag=0,
+    places=_NO_NUMBERS, value=_NO_ROWS, worst=_NONE, at=_NO_NUMBERS, side=_NONE, ceiling=_NONE,
+    dropped=_NONE, between=NO_BETWEEN, charge=_NONE,
 )  # fmt: skip
 _NO_TURNING = TurningPart(
     chord=_NO_NUMBERS, first=0, lag=0, values=_NONE, leaves=_NO_NUMBERS, starts=_NO_NUMBERS,
@@ -223,8 +235,8 @@ _NO_DAC = DacPart(
 """Empty arrays for absent measures: compiled code is the same with and without them."""
 
 
-def _that(parts: Mapping[type, NamedTuple], none: PartT) -> PartT:
-    """Return the part of the same type as ``none``, else ``none`` itself."""
+def _part_of(parts: Mapping[type, NamedTuple], none: PartT) -> PartT:
+    """Return the part of the same type as ``none``, or ``none`` itself if there is no such part."""
     found = parts.get(type(none), none)
     assert isinstance(found, type(none))
     return found
@@ -234,21 +246,25 @@ def _over(block: Block, parts: Mapping[type, NamedTuple]) -> None:
     """Sweep over a block with at most one part of each type."""
     at_once = max(AT_ONCE // block.runs, 1)
     if not parts.keys().isdisjoint(_OF_DRIVES):
-        peak, rms, dac = _that(parts, _NO_PEAK), _that(parts, _NO_RMS), _that(parts, _NO_DAC)
+        peak, rms, dac = (
+            _part_of(parts, _NO_PEAK),
+            _part_of(parts, _NO_RMS),
+            _part_of(parts, _NO_DAC),
+        )
         _sweep_drives_fast(peak, rms, dac, at_once)
     if parts.keys() <= _OF_DRIVES:
         return
     if block.runs == 1:
-        _over_places_of_one(block, parts)
+        _over_positions_of_one(block, parts)
     else:
-        _over_places(block, parts, at_once)
+        _over_positions(block, parts, at_once)
 
 
-def _over_places_of_one(block: Block, parts: Mapping[type, NamedTuple]) -> None:
-    """Process the places of a block of a single run, measure by measure."""
+def _over_positions_of_one(block: Block, parts: Mapping[type, NamedTuple]) -> None:
+    """Process the positions of a block of a single run, measure by measure."""
     assert block.actual is not None
-    contour, progress = _that(parts, _NO_CONTOUR), _that(parts, _NO_PROGRESS)
-    turning, tracking = _that(parts, _NO_TURNING), _that(parts, _NO_TRACKING)
+    contour, progress = _part_of(parts, _NO_CONTOUR), _part_of(parts, _NO_PROGRESS)
+    turning, tracking = _part_of(parts, _NO_TURNING), _part_of(parts, _NO_TRACKING)
     if tracking.at.size:
         raise_to_farthest(lanes(block.actual), tracking.command, tracking.size, tracking.at, 0)
     if block.path is None:
@@ -256,70 +272,71 @@ def _over_places_of_one(block: Block, parts: Mapping[type, NamedTuple]) -> None:
     points = block.at_tool[:, :, 0]
     if len(turning.closed):
         follow_turnings(block.at_tool, NO_BOXES, block.time_s, 0, turning)
-    if not (len(contour.worst) or len(progress.worst)):
+    leaves = len(contour.farthest.squared) > 0
+    if not (leaves or len(progress.worst)):
         return
     path, begin, end = block.window()
-    way, length = chord_vectors(path.vertices)
+    candidates, chords = Candidates(begin, end), chords_of(path.vertices)
     none = np.empty((0, points.shape[1]))
     squared, chord = np.empty(len(points)), np.empty(len(points), dtype=np.int64)
     shares = block.shares
     if shares is None or len(progress.worst):
-        nearest_of_one(points, begin, end, path.vertices, way, length, none, squared, chord)
+        nearest_of_one(points, candidates, chords, none, squared, chord)
     if len(progress.worst):
         progress_of_one(points, squared, progress)
-        if len(progress.between.speed):
-            charge_ways(block.at_tool, 0, progress.between, progress.charge)
-    if not len(contour.worst):
+        if len(progress.between.velocity):
+            charge_bows(block.at_tool, 0, progress.between, progress.charge)
+    if not leaves:
         return
-    share = vertex_share = none
+    weights = Shares(none, none)
     if shares is not None and path.shares is not None:
-        share, vertex_share = shares[:, :, 0], path.shares
-        nearest_of_one(points, begin, end, path.vertices, way, length, share, squared, chord)
+        weights = Shares(shares[:, :, 0], path.shares)
+        nearest_of_one(points, candidates, chords, weights.samples, squared, chord)
+    share = none[:, :, None] if shares is None else shares
     if block.left is not None:
-        charge_trailing(
-            block.at_tool, begin, end, block.left, path.vertices,
-            none[:, :, None] if shares is None else shares, squared[:, None], chord[:, None],
-            np.full(len(points), -1),
-        )  # fmt: skip
+        nearest = Nearest(squared[:, None], chord[:, None], np.full(len(points), -1))
+        charge_trailing(block.at_tool, candidates, block.left, path.vertices, share, nearest)
     bows = NO_BOWS
-    if len(contour.speed):
+    if len(contour.velocity):
         samples, axes = points.shape
         bows = Bows(True, np.empty((samples + 1, axes, 1)), np.empty((samples, 1, 1)))
-        _scale_fast(contour.speed, contour.reach, bows.pace[1:])
-        bows.pace[0] = bows.pace[1] if contour.fresh else contour.pace
+        _scale_fast(contour.velocity, contour.scale, bows.tangents[1:])
+        bows.tangents[0] = bows.tangents[1] if contour.fresh else contour.tangent
         before = block.at_tool[0] if contour.fresh else contour.point
-        bound_bows(block.at_tool, before, none[:, :, None] if shares is None else shares, bows)
-    contour_of_one(points, squared, chord, path.vertices, share, vertex_share, bows, contour)
+        bound_bows(np.concatenate([before[None], block.at_tool]), share, bows)
+    contour_of_one(points, squared, chord, path.vertices, weights, bows, contour)
 
 
-def _over_places(block: Block, parts: Mapping[type, NamedTuple], at_once: int) -> None:
-    """Sweep over the places of a block."""
+def _over_positions(block: Block, parts: Mapping[type, NamedTuple], at_once: int) -> None:
+    """Sweep over the positions of a block."""
     assert block.actual is not None
     actual = lanes(block.actual)
     axes = (0,) * actual.shape[1]
     path, shares = block.path, None
     vertex_share: FloatArray | None = None
-    if path is None:  # without operations no measure of the place on the path takes part
+    if path is None:  # without operations no measure of the position on the path takes part
         nowhere = np.empty((0, len(axes)))
-        chords = _Chords(
-            _NO_NUMBERS, _NO_NUMBERS, _NONE, nowhere, nowhere, _NONE, np.ones(len(axes)), axes
-        )
+        candidates, chords = Candidates(_NO_NUMBERS, _NO_NUMBERS), Chords(nowhere, nowhere, _NONE)
+        around = _Path(candidates, _NONE, chords, np.ones(len(axes)), axes)
     else:
         _, begin, end = block.window()
-        way, length = chord_vectors(path.vertices)
         left = np.zeros(len(block)) if block.left is None else block.left
-        chords = _Chords(begin, end, left, path.vertices, way, length, path.radius_m, axes)
+        around = _Path(Candidates(begin, end), left, chords_of(path.vertices), path.radius_m, axes)
         shares, vertex_share = block.shares, path.shares
     _sweep(
         actual,
-        np.empty((0, len(axes), block.runs)) if shares is None else shares,
-        np.empty((0, len(axes))) if vertex_share is None else vertex_share,
         block.time_s,
-        chords,
-        _that(parts, _NO_CONTOUR),
-        _that(parts, _NO_PROGRESS),
-        _that(parts, _NO_TURNING),
-        _that(parts, _NO_TRACKING),
+        Shares(
+            np.empty((0, len(axes), block.runs)) if shares is None else shares,
+            np.empty((0, len(axes))) if vertex_share is None else vertex_share,
+        ),
+        around,
+        _Parts(
+            _part_of(parts, _NO_CONTOUR),
+            _part_of(parts, _NO_PROGRESS),
+            _part_of(parts, _NO_TURNING),
+            _part_of(parts, _NO_TRACKING),
+        ),
         at_once,
     )
 

@@ -13,14 +13,14 @@ from threadline.files import ChannelKind
 from threadline.verdict.finding import Finding
 from threadline.verdict.switch_run import RunStep, SwitchRun, sample_at
 
-_LEAST_PERIODS = 0.5  # less does not show both extremes of the ringing
-_BY_SPEED_PERIODS = 0.05  # enough for place and speed of the ringing
+_LEAST_PERIODS = 0.5  # a shorter part does not show both extremes of the ringing
+_BY_SPEED_PERIODS = 0.05  # enough for position and speed of the ringing
 _INSTANT_S = 1e-9
 _STOP_GIVES_M = 1.5e-4
-"""Depth by which a piston presses in its end stop at most; it then swings with its cylinder.
+"""Largest depth by which a piston compresses its end stop; then it oscillates with its cylinder.
 
-7 kg at 0.43 m/s press a beam of 1e8 N/m in by v sqrt(m / k) = 0.114 mm. A rotary one has this
-depth at its radius.
+7 kg at 0.43 m/s compress a beam of 1e8 N/m by v sqrt(m / k) = 0.114 mm. For a rotary cylinder this
+is the depth at its radius.
 """
 
 
@@ -33,10 +33,10 @@ def _unknown(run: SwitchRun, axis: str = "") -> list[Finding]:
 def residual_vibration(run: SwitchRun, options: Mapping[str, float]) -> list[Finding]:
     """Per step and cylinder: half the peak-to-peak motion of its frame, m, once it rests.
 
-    It is watched from ``after`` s after it has come to rest, for ``window`` s or until its cylinder
-    moves again. Ringing left from earlier moves counts too. If it moves again within half a period,
-    which does not show both extremes, the amplitude follows from place and speed of the frame then:
-    with a later next input the frame would have rung on with it.
+    It is measured from ``after`` s after the cylinder has come to rest, for ``window`` s or until
+    the cylinder moves again. Ringing left from earlier moves counts too. Less than half a period
+    does not show both extremes: then the amplitude is computed from position and speed of the
+    frame, with which it would ring on until a later move.
     """
     found: list[Finding] = []
     for axis in run.plan.job.axes:
@@ -95,10 +95,10 @@ def _by_speed(
     end_s: float,
     pole: complex,
 ) -> Finding:
-    """Return the amplitude of a frame that is seen too briefly, from its place and speed.
+    """Return the amplitude of a frame that is seen too briefly, from its position and speed.
 
-    It rings about its place before the cycle, as ``Re(a exp(pole t))``; ``a`` is fitted to its
-    samples by least squares.
+    The frame rings about its position before the cycle, as ``Re(a exp(pole t))``; ``a`` is fitted
+    to the samples by least squares.
     """
     time_s, values = frame
     least_s = _BY_SPEED_PERIODS * 2.0 * np.pi / abs(pole)
@@ -118,16 +118,16 @@ def _by_speed(
 
 
 def _between(times_s: FloatArray, begin_s: float, end_s: float) -> slice:
-    """Return the samples between two instants, both included, found by bisection."""
+    """Return the samples between two instants, both included."""
     first = int(np.searchsorted(times_s, begin_s, side="left"))
     return slice(first, max(first, int(np.searchsorted(times_s, end_s, side="right"))))
 
 
 def settling_time(run: SwitchRun, options: Mapping[str, float]) -> list[Finding]:
-    """Per step: from its last cylinder switching until every frame stays in the band, s.
+    """Per step: time from its last cylinder switching until every frame stays in the band, s.
 
-    The band is centred on each frame's place before the cycle. A frame that has not come to rest
-    before its cylinder moves again never settles.
+    The band is centred on each frame's position before the cycle. A frame that is still outside the
+    band when its cylinder moves again never settles.
     """
     axes = run.plan.job.axes
     frames = {axis: run.find(ChannelKind.FRAME, axis) for axis in axes}
@@ -179,7 +179,7 @@ def end_position_error(run: SwitchRun, _options: Mapping[str, float]) -> list[Fi
             found += _unknown(run, axis)
         for move in run.moves_of(axis):
             step = next(s for s in reversed(run.steps) if s.begin_s <= move.begin_s + 1e-9)
-            # A later step may move it again: its place before that counts.
+            # A later step may move it again: its position before that move counts.
             later = [m.begin_s for m in run.moves_of(axis) if m.begin_s > move.begin_s]
             end_s = min([run.quiet_s(step, axis)[1], *later])
             why = run.ends_too_early(load[0], run.due_s(step, axis))
@@ -203,11 +203,10 @@ def end_position_error(run: SwitchRun, _options: Mapping[str, float]) -> list[Fi
 
 
 def repeatability(runs: Sequence[SwitchRun], options: Mapping[str, float]) -> Sequence[Finding]:
-    """Largest distance of a piston's place after a move from the mean over all runs, m.
+    """Largest distance of a piston's position after a move from the mean over all runs, m.
 
-    Angles of a rotary cylinder count at its radius.
-
-    Each run is read at its own instants: one that waited longer is compared at the same place.
+    Angles of a rotary cylinder count at its radius. Each run is read at its own instants, so a run
+    that waited longer is compared at the end of the same move.
     """
     wanted = max(int(options["recordings"]), 2)
     if len(runs) < wanted:
@@ -242,7 +241,7 @@ def repeatability(runs: Sequence[SwitchRun], options: Mapping[str, float]) -> Se
 def travel(run: SwitchRun, _options: Mapping[str, float]) -> list[Finding]:
     """Per cylinder: distance of the piston beyond its stroke, m; negative while room is left.
 
-    At an end stop it is 0, including the tenth of a millimetre by which a stop gives way.
+    At an end stop it is 0, including the tenth of a millimetre by which the stop gives way.
     """
     found = []
     for axis in run.plan.job.axes:
@@ -267,7 +266,7 @@ def travel(run: SwitchRun, _options: Mapping[str, float]) -> list[Finding]:
 def cycle_time(run: SwitchRun, _options: Mapping[str, float]) -> list[Finding]:
     """Time from the start to the end of the last step, s: with waits for inputs, without holds.
 
-    If there are a first and a further cycle, the further one counts.
+    If there are a first and a further cycle, the further cycle counts.
     """
     if not run.steps:
         return _unknown(run)
@@ -317,7 +316,7 @@ def switching_error(run: SwitchRun, _options: Mapping[str, float]) -> list[Findi
 
 
 def switching_dwell(run: SwitchRun, _options: Mapping[str, float]) -> list[Finding]:
-    """Time by which a valve switched again too soon, s; 0 if none did.
+    """Time by which a valve switched again too soon, s; 0 if no valve did.
 
     The note names the valve with the shortest rest, its rest, and the rest that it needs.
     """
@@ -350,7 +349,7 @@ _VALVE_KINDS = ("direction", "flow")
 
 
 def valve_conflict(run: SwitchRun, _options: Mapping[str, float]) -> list[Finding]:
-    """Time for which opposite valves were open together, or one without the soft-start valve, s."""
+    """Time with opposite valves open together, or with one open without the soft-start valve, s."""
     machine = run.plan.machine
     on = {n: run.states[:, i] != 0 for i, n in enumerate(run.commands.outputs)}
     air = np.ones(len(run.time_s), dtype=bool)
@@ -373,12 +372,12 @@ def over_level(run: SwitchRun, _options: Mapping[str, float]) -> list[Finding]:
     worst = Finding(value=0.0)
     on = {n: run.states[:, i] for i, n in enumerate(run.commands.outputs)}
     for axis, cylinder in run.plan.machine.cylinders.items():
-        for way in (cylinder.forward, cylinder.back):
-            flows = np.sum([flow.si * on[n] for n, flow in way.flows.items()], axis=0)
-            level = np.where(on[way.valve] != 0, flows, 0.0)
+        for side in (cylinder.forward, cylinder.back):
+            flows = np.sum([flow.si * on[n] for n, flow in side.flows.items()], axis=0)
+            level = np.where(on[side.valve] != 0, flows, 0.0)
             at = int(np.argmax(level))
             beyond = float(level[at]) - 1.0
-            # Flow controls are set to so many digits; their sum is 1 within them.
-            if beyond > max(way.level_tolerance, worst.value or 0.0):
+            # Flow controls are set to a number of digits; their sum is 1 within this rounding.
+            if beyond > max(side.level_tolerance, worst.value or 0.0):
                 worst = Finding(value=beyond, time_s=float(run.time_s[at]), note=axis)
     return [worst]

@@ -1,8 +1,7 @@
 """A run of an on/off machine: samples of its channels, kept in little memory.
 
-Everything is read from the channels of the recording. The outputs tell when a row of the schedule
-took effect, so that a cycle that waited for its inputs is judged at its own instants, simulated
-or live.
+Everything is read from the channels of the recording. The outputs show when a row of the schedule
+took effect, so a cycle that waited for its inputs is judged at its own instants, simulated or live.
 """
 
 from __future__ import annotations
@@ -30,14 +29,14 @@ Samples: TypeAlias = NDArray[np.float64] | NDArray[np.int8]
 
 
 def compact(values: FloatArray) -> Samples:
-    """Return a switch's samples in an eighth of the memory; others unchanged."""
+    """Return the samples of a switch in an eighth of the memory; other samples unchanged."""
     if ((values == 0.0) | (values == 1.0)).all():
         return values.astype(np.int8)
     return values
 
 
 def joined(parts: list[Samples]) -> Samples:
-    """Return the parts of a channel joined: as integers if every part is."""
+    """Return the parts of a channel joined, as integers if all parts are."""
     if all(part.dtype == np.int8 for part in parts):
         return np.concatenate(parts, dtype=np.int8)
     return np.concatenate(parts, dtype=np.float64)
@@ -88,10 +87,10 @@ class RunMove:
     target_m
         Its target.
     begin_s, end_s
-        First and last switching, with the openings by which it crept to its switch.
+        First and last switching, including the openings by which it crept to its switch.
     rest_s
-        When the cylinder has come to rest: its dead time and some lags after the last switching,
-        as in the schedule.
+        Instant at which the cylinder has come to rest: dead time and some lags after the last
+        switching, as in the schedule.
     """
 
     planned: ScheduledMove
@@ -102,7 +101,7 @@ class RunMove:
 
 
 class SwitchRun:
-    """A recording beside its plan, read as a whole at the first access.
+    """A recording with its plan, read as a whole at the first access.
 
     Parameters
     ----------
@@ -147,7 +146,7 @@ class SwitchRun:
             raise RecordingError("the output channels must have the same instants, two at least")
         states: NDArray[np.int8] = np.stack(columns, axis=1)
         outputs = [c for c in self.recording.channels if c.name in self.commands.outputs]
-        # While every output is off, nothing has happened yet.
+        # Until the first output is on, the cycle has not begun.
         begin_s = 0.0 if states[0].any() else np.inf
         lack = self._coverage.lack(outputs, begin_s, 0.0)
         if lack is not None:
@@ -169,7 +168,7 @@ class SwitchRun:
 
     @cached_property
     def ends(self) -> tuple[tuple[float, float], ...] | str:
-        """Final place, m, and time, s, of each move, or why they are not known."""
+        """Final position, m, and time, s, of each move, or why they are not known."""
         found = []
         loads = {a: self.find(ChannelKind.LOAD, a) for a in {m.planned.axis for m in self.moves}}
         for move in self.moves:
@@ -185,7 +184,7 @@ class SwitchRun:
         return tuple(found)
 
     def release(self) -> None:
-        """Discard all samples; keep steps, moves, switchings and ends of moves."""
+        """Discard all samples; keep steps, moves, switchings and final positions."""
         if self.steps:
             _ = self.ends, self.moves
         for samples in ("_channels", "_switched", "changes"):
@@ -208,7 +207,7 @@ class SwitchRun:
         for c in channels:
             parts = values.pop(c.name)
             pace = (c.clock.name, c.stride, tuple(len(part) for part in parts))
-            if parts and pace not in times:  # channels of one pace share their instants
+            if parts and pace not in times:  # channels with equal instants share them
                 blocks = zip(firsts[c.clock.name], pace[2], strict=True)
                 times[pace] = np.concatenate([c.clock.times_s(k, n, c.stride) for k, n in blocks])
             if parts:
@@ -281,14 +280,14 @@ class SwitchRun:
 
     @staticmethod
     def ends_too_early(time_s: FloatArray, until_s: float) -> str:
-        """Say that samples at ``time_s`` end before an instant; empty if they do not."""
+        """Return that samples at ``time_s`` end before an instant; empty if they do not."""
         interval_s = float(time_s[-1] - time_s[-2]) if len(time_s) > 1 else 0.0
         if time_s[-1] + (1.0 + _ROUNDING) * interval_s + _ROUNDING_S >= until_s:
             return ""
         return f"the recording ends at {time_s[-1]:.6g} s, it is judged until {until_s:.6g} s"
 
     def due_s(self, step: RunStep, axis: str) -> float:
-        """Return until when effects of ``step`` must have been seen: the cycle's end at most."""
+        """Return until when effects of ``step`` must be seen: at most until the cycle's end."""
         return min(self.quiet_s(step, axis)[1], self.end_s)
 
     @cached_property
@@ -324,7 +323,7 @@ class SwitchRun:
         return np.array(rows), dict(openings), left_s
 
     def _on(self, creep: Creep, index: int) -> bool:
-        """Say whether the switch of a creep had come before a sample of the outputs."""
+        """Return whether the switch of a creep was on at a sample of the outputs."""
         wait = next(e for e in self.commands.events if (e.kind, e.tick) == ("wait", creep.tick))
         time_s, values = self._samples(wait.name)
         if not len(time_s):
@@ -342,7 +341,7 @@ class SwitchRun:
         return self._followed[2]
 
     def _crept_s(self) -> Mapping[str, list[tuple[int, float]]]:
-        """Ticks of the waits in which each cylinder crept to its switch, and the ends of it, s."""
+        """By cylinder: the ticks of the waits in which it crept to its switch, and the ends, s."""
         found: dict[str, list[tuple[int, float]]] = {}
         names = {e.tick: e.name for e in self.commands.events if e.kind == "wait"}
         for tick, end_s in self._followed[1].items():
@@ -358,14 +357,15 @@ class SwitchRun:
     def instant_s(self, tick: int) -> float:
         """Return the instant, s, at which a tick of the schedule was played.
 
-        It is counted back from the next switching, whose instant is known, or on from the last.
+        It is counted back from the next switching, whose instant is known, or on from the last
+        switching.
         """
         period_s = float(self.commands.clock.period_s)
         ticks = self.commands.ticks
         after = int(np.searchsorted(ticks, tick))
         if after < len(ticks):
             return float(self.row_s[after] - (ticks[after] - tick) * period_s)
-        # After the last switching ticks go on at their period, except for waits.
+        # After the last switching ticks follow at their period, except for waits.
         now_s, last = float(self.row_s[-1]), int(ticks[-1])
         for event in self.commands.events:
             if event.kind == "wait" and last <= event.tick < tick:
@@ -378,7 +378,7 @@ class SwitchRun:
         came = (time_s >= from_s - _ROUNDING_S) & ((values != 0) == bool(event.value))
         found = np.flatnonzero(came)
         if not len(found):
-            return from_s  # it never came, or was not recorded: nothing more is known
+            return from_s  # the input never came, or was not recorded
         period_s = float(self.commands.clock.period_s)
         scans = np.ceil((time_s[found[0]] - from_s) / period_s - _ROUNDING_S)
         return float(from_s + scans * period_s)
@@ -387,7 +387,7 @@ class SwitchRun:
     def unseen_wait(self) -> str:
         """Why the wait after the last switching is unknown; empty if it is known.
 
-        Before that the switchings themselves show it.
+        Earlier waits show in the switchings.
         """
         now_s = float(self.row_s[-1]) if len(self.row_s) else 0.0
         for event in self.commands.events:
@@ -401,7 +401,7 @@ class SwitchRun:
 
     @cached_property
     def steps(self) -> tuple[RunStep, ...]:
-        """Every step of the cycle; none unless the schedule was followed."""
+        """Every step of the cycle; empty unless the schedule was followed."""
         if not self.followed or not len(self.row_s):
             return ()
         named = [(e.tick, e.name, e.operation) for e in self.commands.events if e.kind == "tool"]
@@ -419,7 +419,7 @@ class SwitchRun:
 
     @cached_property
     def moves(self) -> tuple[RunMove, ...]:
-        """Every move; none unless the schedule was followed."""
+        """Every move; empty unless the schedule was followed."""
         if not self.followed:
             return ()
         found, crept_s = [], self._crept_s()
@@ -445,10 +445,11 @@ class SwitchRun:
         return [m for m in self.moves if m.planned.axis == axis]
 
     def quiet_s(self, step: RunStep, axis: str) -> tuple[float, float]:
-        """Return the span in which effects of ``step`` are seen: at rest, until it moves again.
+        """Return the span in which effects of ``step`` are seen: from rest to the next move.
 
-        From the end of the motion, or the beginning of the step if that is later, to the next move
-        of this cylinder, or to the end of the recording or the cycle, whichever is later.
+        It begins at the end of the motion, or at the beginning of the step if that is later. It
+        ends with the next move of this cylinder; without one, with the recording or the cycle,
+        whichever ends later.
         """
         mine = self.moves_of(axis)
         done = [m for m in mine if m.begin_s < step.end_s - _ROUNDING_S]
@@ -459,7 +460,7 @@ class SwitchRun:
 
 
 def _held(events: Sequence[Event], clock: Clock) -> list[tuple[float, float]]:
-    """Return begin and end of each hold, s, except one that the run ended in."""
+    """Return begin and end of each hold, s, except a hold in which the run ended."""
     found, since = [], None
     for event in events:
         if event.kind == "hold" and since is None:
@@ -471,9 +472,10 @@ def _held(events: Sequence[Event], clock: Clock) -> list[tuple[float, float]]:
 
 
 def steps_judged(plan: Plan) -> Mapping[str, Sequence[tuple[str, str]]]:
-    """Return, by measure, each cylinder and named step that a whole run of a plan is judged in.
+    """Return, by measure, the cylinders and named steps for which a run of a plan has results.
 
-    The cylinder is ``""`` for a measure of all. Other kinds of plan are judged as a whole: nothing.
+    The cylinder is ``""`` for a measure of all cylinders. Other kinds of plan have no steps: the
+    result is empty.
     """
     if not isinstance(plan.intent, Scheduled):
         return {}

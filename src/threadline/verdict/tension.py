@@ -1,4 +1,4 @@
-"""How even the tension of a fibre is, layer by layer, from the channel ``tension`` of a run."""
+"""Variation of the tension of a fibre, layer by layer, from the channel ``tension`` of a run."""
 
 from __future__ import annotations
 
@@ -34,9 +34,9 @@ class _Place:
 
 @dataclass(slots=True)
 class _Sums:
-    """Samples of the tension of one run: their number and sum, the least and the most.
+    """Samples of the tension of one run: number, sum, smallest and largest.
 
-    ``lost_s`` is the instant of the first one that is missing; infinite without any.
+    ``lost_s`` is the instant of the first missing sample; infinite if none is missing.
     """
 
     count: int = 0
@@ -76,10 +76,10 @@ def _sums(block: Block, tension: FloatArray, rows: IntArray) -> _Sums:
 class _Variation:
     """The largest deviation of the tension from its mean, over the mean, of each run.
 
-    Where the job asks for several tensions, each part of it that asks for one has its own mean. A
-    part is counted from where the place of the fibre is known, and a length of it is drawn since
-    the part began, to the last fibre that is drawn: a rest in between counts, and the rest at the
-    end does not.
+    If the job asks for several tensions, each part of the job with one tension has its own mean. A
+    part counts as soon as the place of the fibre is known and the length ``after`` has been drawn
+    since the part began, up to the last fibre drawn: a rest in between counts, the rest at the end
+    does not.
     """
 
     def __init__(self, setting: Setting, after_m: float) -> None:
@@ -92,7 +92,7 @@ class _Variation:
         self._began_m = np.full((runs, parts), np.inf)
         self._drawn_s = np.full(runs, -np.inf)
         self._sums = [[_Sums() for _ in range(parts)] for _ in range(runs)]
-        # Since the fibre was last drawn, as far as is known.
+        # Samples since the fibre was last known to be drawn.
         self._still = [[_Sums() for _ in range(parts)] for _ in range(runs)]
         self._untold = False
 
@@ -105,7 +105,7 @@ class _Variation:
 
     def feed(self, block: Block) -> None:
         """Take the next samples."""
-        self._look(self._shared.samples(block))
+        self._note_fibre(self._shared.samples(block))
         if block.tension is None:
             return
         part = self._parts(block.operation, len(block.time_s))
@@ -121,13 +121,13 @@ class _Variation:
                 self._still[run][k].add(_sums(block, tension, np.flatnonzero(own & ~drawn)))
 
     def _join(self, run: int, last: int) -> None:
-        """Count the samples of rests that were not the last, up to a part."""
+        """Count the samples of rests that later drawing has followed, up to a part."""
         for k in range(last + 1):
             self._sums[run][k].add(self._still[run][k])
             self._still[run][k] = _Sums()
 
-    def _look(self, runs: Sequence[Wound]) -> None:
-        """Note from when on the fibre is known, and until when it is drawn."""
+    def _note_fibre(self, runs: Sequence[Wound]) -> None:
+        """Note the instants from which on the fibre is known, and until which it is drawn."""
         for run, samples in enumerate(runs):
             drawn_m = np.where(np.isfinite(samples.fibre.used_m), samples.fibre.used_m, 0.0)
             length_m = self._length_m[run] + np.cumsum(drawn_m)
@@ -161,7 +161,7 @@ class _Variation:
 def _of_run(parts: Sequence[_Sums], tensions_n: Sequence[float]) -> Finding:
     """Return the finding of the part that varies most, with the tension set there.
 
-    Parts without samples do not count: their fibre is shorter than the length that is left out.
+    Parts without samples do not count: their fibre is shorter than ``after``.
     """
     lost_s = min(sums.lost_s for sums in parts)
     if lost_s < math.inf:

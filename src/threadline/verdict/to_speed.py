@@ -1,16 +1,16 @@
-"""How many stitches the head takes to its speed, and from its speed to a stop, leg by leg.
+"""Stitches that the head needs to reach its speed, and to stop from its speed, leg by leg.
 
-The thesis of the stitcher asks that the head accelerates to its speed, and decelerates from it,
-within two stitches. Both counts here end when the head has 95 % of the set speed; they differ in
-where they begin (of a stop, read in reversed time, in where they end):
+The stitcher thesis asks that the head accelerates to its speed, and decelerates from it, within two
+stitches. Both counts end when the head has 95 % of the set speed. They differ in their beginning
+(for a stop, read in reversed time, in their end):
 
-- ``stitches_to_speed`` with the first movement of the command along the new leg. A plan that
-  swings back before it departs is counted from the swing, and not from where it last stood.
-- ``stitches_from_needle`` with the first needle-down of the leg.
+- ``stitches_to_speed`` begins with the first movement of the command along the new leg. If the plan
+  swings back before it departs, the count begins with the swing, not with the last rest.
+- ``stitches_from_needle`` begins with the first needle-down of the leg.
 
-Fractions of a turn count. The first movement is the mean over all levels from 0.5 to 1.5 % of the
-set speed of the instants at which the command first passes them, 1 % on average: a swing that grows
-from below 1 % to above it moves the count little by little.
+Fractions of a turn count. The first movement is dated by the levels from 0.5 to 1.5 % of the set
+speed: the mean of the instants at which the command first passes each level. So a swing that grows
+from below 1 % to above it changes the count gradually.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ _KEPT_TURNS = 2.0 * TURNS + 8.0
 
 
 class _Head:
-    """When the head of one run came to 95 % of its speed, and lost it."""
+    """Instants at which the head of one run reached 95 % of its speed, and fell below it."""
 
     def __init__(self) -> None:
         self._due_s: list[float] = []
@@ -46,12 +46,12 @@ class _Head:
         self.worst: Finding | None = None
 
     def take(self, due_s: float, up: bool, at: Instant) -> None:
-        """Add a passage of 95 %, upward or downward, and the sample behind it."""
+        """Add a passage of 95 %, upward or downward, and the sample after it."""
         self._due_s.append(due_s)
         self._ups.append((up, at))
 
     def drop(self, before_s: float) -> None:
-        """Discard passages before an instant, but for the last."""
+        """Discard passages before an instant, except the last."""
         first = max(bisect_right(self._due_s, before_s) - 1, 0)
         del self._due_s[:first], self._ups[:first]
 
@@ -68,7 +68,7 @@ class _Head:
         rise_s = dip.rise.due_s
         at = bisect_right(self._due_s, rise_s) - 1
         if at >= 0 and self._ups[at][0]:
-            # It had its speed before the command; a head that trails may still have the old one.
+            # The head had its speed before the command; a trailing head may still have the old one.
             found = self._due_s[at] > dip.turn.due_s
             return (self._due_s[at], self._ups[at][1]) if found else (rise_s, dip.rise)
         if at + 1 < len(self._due_s) and self._due_s[at + 1] <= until_s:
@@ -92,11 +92,11 @@ class _ToSpeed:
     """The longest time to reach the speed, or to stop from it, in turns of the needle.
 
     If the needle follows the head, the set speed is the commanded speed of the head at that
-    instant. Stitches sewn in a hold, or while the head regains its speed after one, do not count;
-    times are the plan's, which stands still in a hold.
+    instant. Stitches sewn in a hold, or while the head regains its speed after a hold, do not
+    count. Times are times of the plan, which stands still in a hold.
 
     Speeds are means over ``over``, or over ``PART_OF_STITCH`` of the shortest first stitch if that
-    is less: a mean over more than a dip would not see the dip.
+    is less: a mean over more than a dip would hide the dip.
     """
 
     def __init__(self, setting: Setting, over_s: float, delay_s: float | None) -> None:
@@ -119,7 +119,7 @@ class _ToSpeed:
         interval_s = self._every * setting.interval_s
         self._span = max(round(over_s / interval_s), 1)
         self._over_s = self._span * interval_s
-        # Coarser means see a start too early and a speed too late, each by less than a mean.
+        # Coarser means date a start too early and a speed too late, each by less than a mean.
         coarse = self._over_s > over_s and setting.coarse
         self._late_s = 2.0 * self._over_s if coarse else 0.0
         self._sews = self._run is not None
@@ -136,7 +136,7 @@ class _ToSpeed:
         if rests is None or not self._sews or not len(block):
             return
         assert block.commanded is not None
-        # Rests are held to a count, which would make steps of a slow movement.
+        # ``rests`` holds positions to a count, which would turn a slow movement into steps.
         taken = (rests[:, :, None], block.commanded[:, :, None], lanes(block.actual))
         points = [p[:, self._columns] * self._radius_m for p in taken]
         tails = self._tail or [np.repeat(p[:1], self._span, axis=0) for p in points]
@@ -175,9 +175,9 @@ class _ToSpeed:
         Returns
         -------
         tuple
-            The samples beside them, with stitch -1 where there is none; (n,) set speed, turn of the
-            needle, whether it follows, and whether it sews. For a following needle the speed is its
-            highest.
+            The samples with their stitches, -1 where there is none; (n,) set speed, duration of the
+            needle's turn, whether the needle follows, and whether it sews. For a following needle
+            the set speed is its highest.
         """
         count, width = velocity.shape
         wanted, period_s = np.ones(count), np.ones(count)
@@ -192,9 +192,9 @@ class _ToSpeed:
             wanted[mine] = (run.target_m * speed)[stitch]
             follows[mine] = run.follows[stitch]
             period_s[mine] = run.period_s[stitch]
-            way = run.point - run.from_point
-            way_m = np.linalg.norm(way, axis=1, keepdims=True)
-            along[mine] = (way / np.where(way_m > 0.0, way_m, 1.0))[stitch]
+            step = run.point - run.from_point
+            step_m = np.linalg.norm(step, axis=1, keepdims=True)
+            along[mine] = (step / np.where(step_m > 0.0, step_m, 1.0))[stitch]
             contour[mine], number[mine] = run.contour[stitch], self._number + stitch
             down_s[mine] = run.down_s[stitch]
             needle_s[mine] = (run.down_s - run.period_s)[stitch]
@@ -215,7 +215,7 @@ class _ToSpeed:
             self._run = next(self._source, None)
         sewn = known & np.isfinite(period_s)
         if self._run is None and self._last is not None:
-            # What a stop sets swinging goes on behind the last needle-down.
+            # Oscillation after a stop continues after the last needle-down.
             run, self._number = self._last, self._number - len(self._last)
             behind = ~known & (due_s <= run.down_s[-1] + TURNS * run.period_s[-1])
             fill(run, behind, np.full(int(behind.sum()), len(run) - 1))
@@ -263,7 +263,7 @@ class _ToSpeed:
         period_s: FloatArray,
         follows: NDArray[np.bool_],
     ) -> None:
-        """Follow a command through stretches in which it has its speed or not."""
+        """Follow the command through stretches at its speed and below it."""
         low = meant < _HIGH
         edges = np.flatnonzero(np.diff(low)) + 1
         for part in np.split(np.arange(len(at)), edges):
@@ -314,7 +314,7 @@ class _ToSpeed:
         self._dips = [dip for dip in self._dips if not (dip.stopped and dip.started)]
         oldest_s = self._past.end_s
         for dip in self._dips:
-            # Of a rest only the end matters, once its stop is counted.
+            # Once the stop before a rest is counted, only the end of the rest matters.
             if not dip.stopped or dip.rise is not None:
                 oldest_s = min(oldest_s, dip.begin_s)
         keep_s = oldest_s - _KEPT_TURNS * self._turn_s
@@ -323,7 +323,7 @@ class _ToSpeed:
             head.drop(keep_s)
 
     def _stopped(self, dip: Dip) -> None:
-        """Count from the last 95 % of each head to the stop of the command."""
+        """Count from the last 95 % speed of each head to the stop of the command."""
         dip.stopped = True
         gone_s, needle_s = self._past.stop(dip)
         note = _STOPS[0] if np.isnan(needle_s) else _STOPS[1]
@@ -373,5 +373,5 @@ def start_to_speed(setting: Setting, options: Mapping[str, float]) -> Measure:
 
 
 def start_from_needle(setting: Setting, options: Mapping[str, float]) -> Measure:
-    """Begin measuring the turns from the first needle-down of a leg until it has its speed."""
+    """Begin measuring the turns from the first needle-down of a leg to the head's speed."""
     return _ToSpeed(setting, options["over"], options["delay"])

@@ -1,4 +1,4 @@
-"""Tracking error, and the intended commanded positions if feed-forward commands other ones."""
+"""Tracking error, and the intended commanded positions if feed-forward changes the commands."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ from threadline.verdict.samples import Block, Setting
 def as_intended(recording: Recording, plan: Plan) -> Recording:
     """Return ``recording`` with the commanded position of each axis as the plan intended it.
 
-    If the loads follow the motion, the controllers receive commands that lead it. The intended
-    position is the motion itself, and errors are measured from there. Under holds it is the motion
-    at the plan's time. If the motors follow the motion, the two are equal and the recording is
+    If the loads follow the motion, the controllers receive commands that lead the motion. The
+    intended position is the motion itself, in holds the motion at the plan's time, and errors are
+    measured from there. If the motors follow the motion, the two are equal and the recording is
     returned unchanged.
     """
     intended = plan.motion.of_loads
@@ -62,8 +62,8 @@ def _blocks(
 class TrackingPart(NamedTuple):
     """Arrays that a sweep over a block reads and updates for the tracking error.
 
-    ``command``, (n, axes), is subtracted from the samples; ``size`` and ``at``, (axes, runs), are
-    raised to the largest difference and to its first sample, -1 for none.
+    ``command``, (n, axes), is subtracted from the samples; ``size`` and ``at``, (axes, runs),
+    become the largest difference and its first sample, or -1.
     """
 
     command: FloatArray
@@ -74,8 +74,8 @@ class TrackingPart(NamedTuple):
 class _Tracking(SweptMeasure):
     """Per axis, in its own unit (m or rad): the largest absolute difference. Lag counts.
 
-    The actual position is the tool's or the load's. A live machine may record neither: then the
-    axis' own encoder is read, and the result says so.
+    The actual position is the position of the tool or the load. If a live machine records neither,
+    the axis' own encoder is read, and the result says so.
     """
 
     def __init__(self, setting: Setting) -> None:

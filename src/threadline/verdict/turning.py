@@ -15,7 +15,7 @@ from threadline.verdict.bow import (
     NO_VELOCITY,
     Between,
     MotionBetween,
-    beside,
+    deviation,
     turning_places,
     turns,
 )
@@ -37,9 +37,9 @@ class Turning:
     direction
         +1 for a maximum, -1 for a minimum, 0 if the axis never moved.
     operation, line, position
-        Data of the first vertex there; the position in the units of the axes.
+        Operation, job line and position, in the units of the axes, of the first vertex there.
     leaves
-        Number of the chord that leaves it: the axis may stand there for many chords before.
+        Number of the chord that leaves it: the axis may rest there for many chords before.
     """
 
     value: float
@@ -55,18 +55,22 @@ def _scan(
     column: int,
     smallest: float,
     direction: int,
-    at: int,
-    extreme: FloatArray,
+    value: float,
     found_at: IntArray,
     found_leaves: IntArray,
 ) -> tuple[int, int, int]:
-    """Run the hysteresis over ``vertices``; return direction, index of the extreme, and count.
+    """Run the hysteresis over a column of (n, axes) ``vertices``.
 
-    ``at`` is the vertex of the running extreme; -1 if it is from an earlier call, with its (axes,)
-    position in ``extreme``.
+    ``direction`` and ``value`` are the direction and the extreme after the previous call. The
+    turnings found are the vertices ``found_at``; the axis leaves them at the vertices
+    ``found_leaves``. A vertex -1 is the extreme of an earlier call.
+
+    Returns
+    -------
+    tuple
+        Direction and vertex of the running extreme, and number of turnings found.
     """
-    count = 0
-    value = extreme[column]
+    count, at = 0, -1
     for i in range(len(vertices)):
         rise = vertices[i, column] - value
         if direction == 0:
@@ -87,7 +91,7 @@ _scan_fast = njit(nogil=True)(_scan)
 class ReversalScan:
     """Finds the turnings of one axis; reversals of no more than ``smallest`` do not count.
 
-    Ignoring such a wiggle can hide an error of at most its size.
+    Ignoring so small a reversal can hide an error of at most its size.
     """
 
     def __init__(self, column: int, smallest: float, radius_m: FloatArray) -> None:
@@ -113,11 +117,12 @@ class ReversalScan:
         where = np.empty(len(vertices), dtype=np.int64)
         leaves = np.empty(len(vertices), dtype=np.int64)
         self.direction, at, count = _scan_fast(
-            vertices, self._column, self._smallest, self.direction, -1, self._extreme, where, leaves
-        )
+            vertices, self._column, self._smallest, self.direction,
+            float(self._extreme[self._column]), where, leaves,
+        )  # fmt: skip
         found = []
-        # Only the first one can be at an extreme of an earlier call. Before the first, the axis may
-        # have begun to move, so its direction is counted back from the last one.
+        # Only the first turning can be at an extreme of an earlier call. Before it, the axis may
+        # have begun to move, so its direction is counted back from the last direction.
         direction = first_direction or (self.direction if count % 2 == 0 else -self.direction)
         for index, leaving in zip(where[:count], leaves[:count], strict=True):
             if index >= 0:
@@ -158,10 +163,10 @@ class TurningPart(NamedTuple):
     ``starts[k + 1]``; after the sweep ``closed[k]`` of them are passed, with (turnings, runs)
     ``errors`` at ``times_s``. ``whole``, (k, 2), is the direction of each axis and the sample at
     which the command left the turning, or -1; it is the same for all runs. ``real``, (k, 4, runs),
-    is the extreme, its time, the extreme of the opposite direction since then and its time. An axis
-    without a direction is not followed. ``chord``, (n,), is the command's, and the first sample of
-    the block has the number ``first``. ``between`` tells the ways between samples, ``interval_s``
-    apart: an axis may turn on one of them.
+    holds the extreme, its time, the extreme of the opposite direction since then, and its time. An
+    axis without a direction is not followed. ``chord``, (n,), is the chord of the command; the
+    first sample of the block has the number ``first``. An axis may turn between two samples,
+    ``interval_s`` apart: ``between`` defines the path there.
     """
 
     chord: IntArray
@@ -180,9 +185,9 @@ class TurningPart(NamedTuple):
 
 
 def _take(real: FloatArray, k: int, r: int, place: float, at_s: float) -> None:
-    """Let a place of an axis, counted in its direction, raise its extremes."""
+    """Raise the extremes of an axis to a position, counted in the direction of the axis."""
     farther = place > real[k, 0, r]
-    back = farther or -place > real[k, 2, r]  # a farther place starts the other direction again
+    back = farther or -place > real[k, 2, r]  # a new extreme restarts the opposite direction
     real[k, 0, r] = place if farther else real[k, 0, r]
     real[k, 1, r] = at_s if farther else real[k, 1, r]
     real[k, 2, r] = -place if back else real[k, 2, r]
@@ -198,8 +203,8 @@ def _follow(  # noqa: PLR0915 - one loop over the samples; a call would be compi
     """Follow every axis through its turnings over samples, the first of them ``low``.
 
     If the box of all runs exceeds every run's extreme, the sample is the new extreme of every run:
-    its index is noted, and written out when a box does not decide. It does not where any run may
-    turn between two samples.
+    its index is noted, and written out as soon as a box does not decide. A box does not decide if
+    any run may turn between two samples.
     """
     samples, _, runs = points.shape
     # Each tuple access would count references.
@@ -208,8 +213,8 @@ def _follow(  # noqa: PLR0915 - one loop over the samples; a call would be compi
         chord, first, lag, values, leaves, starts, whole, real, errors, times_s, closed, between,
         interval_s,
     ) = part  # fmt: skip
-    speed, reach, before, pace, begun = between
-    bowed = len(speed) > 0
+    velocity, scale, before, tangent, begun = between
+    bowed = len(velocity) > 0
     of_all = np.full(2, -1)  # samples that are the extreme of all runs, in both directions
     bounds = np.empty(4)  # least and most of the extremes, and of the opposite ones
     for k in range(len(closed)):
@@ -220,8 +225,8 @@ def _follow(  # noqa: PLR0915 - one loop over the samples; a call would be compi
             if bowed and (i > 0 or begun[0] > 0):
                 for r in range(runs):
                     step = points[i, k, r] - (before[k, r] if i == 0 else points[i - 1, k, r])
-                    out = pace[k, r] if i == 0 else reach[k] * speed[low + i - 1, k, r]
-                    turned += turns(step, out, reach[k] * speed[low + i, k, r])
+                    m0 = tangent[k, r] if i == 0 else scale[k] * velocity[low + i - 1, k, r]
+                    turned += turns(step, m0, scale[k] * velocity[low + i, k, r])
             if known and not turned:
                 if fresh:
                     for n in range(2):
@@ -250,19 +255,19 @@ def _follow(  # noqa: PLR0915 - one loop over the samples; a call would be compi
                 closing = whole[k, 1] >= 0 and (overtaken or late)
             if not reported or closing or i + 1 == samples:
                 for n in range(2):
-                    at, way = of_all[n], side if n == 0 else -side
+                    at, sign = of_all[n], side if n == 0 else -side
                     for r in range(runs if at >= 0 else 0):
-                        real[k, 2 * n, r] = way * points[at, k, r]
+                        real[k, 2 * n, r] = sign * points[at, k, r]
                         real[k, 2 * n + 1, r] = time_s[at]
                     of_all[n] = -1
             for r in range(runs if turned else 0):
                 start = before[k, r] if i == 0 else points[i - 1, k, r]
-                out = pace[k, r] if i == 0 else reach[k] * speed[low + i - 1, k, r]
-                step, back = points[i, k, r] - start, reach[k] * speed[low + i, k, r]
-                if turns(step, out, back):
-                    for s in turning_places(step, out, back):
-                        if s > 0.0:  # or no number
-                            place = start + s * step + beside(s, step, out, back)
+                m0 = tangent[k, r] if i == 0 else scale[k] * velocity[low + i - 1, k, r]
+                step, m1 = points[i, k, r] - start, scale[k] * velocity[low + i, k, r]
+                if turns(step, m0, m1):
+                    for s in turning_places(step, m0, m1):
+                        if s > 0.0:  # or NaN
+                            place = start + s * step + deviation(s, step, m0, m1)
                             at_s = time_s[i] - (1.0 - s) * interval_s
                             _take_fast(real, k, r, side * place, at_s)
             for r in range(0 if reported else runs):
@@ -283,7 +288,7 @@ def _follow(  # noqa: PLR0915 - one loop over the samples; a call would be compi
     for k in range(len(closed) if bowed else 0):
         for r in range(runs):
             before[k, r] = points[samples - 1, k, r]
-            pace[k, r] = reach[k] * speed[low + samples - 1, k, r]
+            tangent[k, r] = scale[k] * velocity[low + samples - 1, k, r]
     begun[0] = bowed
 
 
@@ -367,14 +372,14 @@ class _Axis:
 
 
 class _TurningPoints(SweptMeasure):
-    r"""Per axis: the farthest position at each reversal, against the programmed value.
+    """Per axis: the farthest position at each reversal, against the programmed value.
 
-    Lengths at the tool (rotary axes times their radius). A reversal is watched from the previous
-    reversal until the command has left it for the lag, or has left the next reversal. The end of
-    the job counts as the last reversal. Between two samples the extreme of the cubic through places
-    and velocities counts (``bow``); without velocities it can be missed by at most a T^2 / 8, with
-    the acceleration a and the sample interval T. If a stroke takes less time than the machine's
-    lag, the distance not yet covered counts as its error.
+    Lengths are at the tool (rotary axes times their radius). A reversal is watched from the
+    previous reversal until the command left it the lag ago, or has left the next reversal. The end
+    of the job counts as the last reversal. Between two samples the extreme of the cubic Hermite
+    interpolant counts (``bow``). Without velocities the extreme can be missed by at most a T^2 / 8,
+    with the acceleration a and the sample interval T. If a stroke takes less time than the
+    machine's lag, the distance not yet covered counts as its error.
     """
 
     def __init__(self, setting: Setting, smallest: float) -> None:
@@ -388,7 +393,7 @@ class _TurningPoints(SweptMeasure):
             for column in range(axes)
         ]
         self._lag, self._interval_s = setting.lag_samples, setting.interval_s
-        self._ways = MotionBetween(setting)
+        self._between = MotionBetween(setting)
         self._path: PathWindow | None = None
         self._last: FloatArray | None = None
         self._part: TurningPart | None = None
@@ -412,7 +417,7 @@ class _TurningPoints(SweptMeasure):
             errors=np.empty(shape),
             times_s=np.empty(shape),
             closed=np.zeros(len(self._axes), dtype=np.int64),
-            between=self._ways.part(block),
+            between=self._between.part(block),
             interval_s=self._interval_s,
         )
         return self._part
@@ -428,7 +433,7 @@ class _TurningPoints(SweptMeasure):
             axis.feed(self._last[column], last_s, found.errors[closed], found.times_s[closed])
 
     def finish(self) -> Sequence[RunFindings]:
-        if self._ways.lost:
+        if self._between.incomplete:
             none = [Finding(value=None, axis=axis.name, note=NO_VELOCITY) for axis in self._axes]
             return [RunFindings.alike(one, self._runs) for one in none]
         return [axis.finish(self._path, self._last) for axis in self._axes]

@@ -28,19 +28,19 @@ class Status(StrEnum):
 class Level(StrEnum):
     """How far a verdict reaches."""
 
-    LIMITS = "limits and time alone"  # no dynamics in the machine file: places are unknown
+    LIMITS = "limits and time alone"  # no dynamics in the machine file: positions are unknown
     NOMINAL = "nominal"  # few runs of one machine: no claim about others
     REPEATED = "repeated"  # enough runs to contain the variation from run to run
     YIELD = "yield over tolerances"  # a share of the machines within the tolerances of the file
-    TOLERANCES = "over tolerances"  # the worst machine that is found within them, and drawn ones
-    DRAWN = "drawn machines"  # machines that were all drawn within them, in one run each
+    TOLERANCES = "over tolerances"  # the worst machine found within them, and drawn machines
+    DRAWN = "drawn machines"  # machines drawn at random within the tolerances, one run each
 
 
 REPEATED_RUNS = 20
 """Least number of runs for the level *repeated*."""
 EQUAL_SHARES = 1e-6
-"""Share by which two used shares of limits may differ and count as equal: rounding then does not
-decide which criterion is named, but their order."""
+"""Used shares of limits that differ by less than this share count as equal: the order of the
+criteria decides which is named, not rounding."""
 _NEAR = 3.0
 
 
@@ -68,12 +68,12 @@ class Criterion:
     required
         Whether the verdict passes only if it was measured.
     options
-        How it is measured (a band, a window), SI; options left out have the measure's default.
+        How it is measured (a band, a window), SI; missing options have the measure's default.
     hard
         The limit is the machine's own. A historical interpolation may exceed the limits of
         acceleration and jerk: it only reports its values.
     every_axis
-        Whether it was written for every axis: an axis that the job does not move is then left out.
+        Whether it was written for every axis: then an axis that the job does not move is left out.
     note
         A remark for the verdict, such as that the machine's own limit is narrower.
     """
@@ -100,12 +100,12 @@ class Spec:
     criteria
         In the order of the verdict.
     lag_s
-        Free following error in time: placement is judged against the stretch of the program from
-        this time before an instant to this time after it.
+        Free following error in time: a position is compared with the part of the program from this
+        time before its instant to this time after it.
     sha256
         Hash of the file.
     file
-        File name as given; empty for the machine's own specification, and for one made by hand.
+        File name as given; empty for the machine's own specification, and if made in Python.
     """
 
     name: str
@@ -154,20 +154,20 @@ class Result:
     passes
         Passes of the subroutines around that line, the outermost first; empty in the main program.
     position
-        (axes of the job,) commanded position there, m or rad; for a missed programmed point, that
-        point; None if there is no such place.
+        (axes of the job,) commanded position there, m or rad, or the missed programmed point; None
+        if there is no such place.
     note
         Remark beyond the number: ``short``, ``past``, why nothing was measured.
     run
-        Number of the run with the worst value, from 1, other machines last; None if there was one
-        run only, or the value belongs to the plan or to all runs together.
+        Number of the run with the worst value, from 1, other machines last; None for a single run,
+        and if the value belongs to the plan or to all runs together.
     step
         The step of a move list that it was measured in; ``""`` for the whole job.
     of
         ``"plan"`` if the plan was measured, and no run; ``"recording"`` if a limit of the plan was
         measured on the recording instead; else ``"run"``.
     typical
-        Median of the runs; None if there was one run only, or no run was measured.
+        Median of the runs; None for a single run, and if no run was measured.
 
     Raises
     ------
@@ -290,7 +290,7 @@ class OverTolerances:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SearchedDays:
-    """What a search for a bad day tells, or over tolerances one for a bad machine on a bad day.
+    """Result of a search for a bad day; over tolerances, for a bad machine on a bad day.
 
     Parameters
     ----------
@@ -329,7 +329,7 @@ class Verdict:
         Results of the search for the worst machine and of the drawn machines within the
         tolerances; None if neither was wanted.
     days
-        What a search for a bad day tells, as ``fastest`` asks for at its answer; else None.
+        Result of a search for a bad day, which ``fastest`` makes for its answer; else None.
     wanted_yield
         Share of these machines that must be in specification; None: every one.
     ends
@@ -339,7 +339,7 @@ class Verdict:
     incomplete
         How a run ended before its last row; empty if none did.
     late_ticks
-        Ticks of all runs at which a row was due and had not come.
+        Ticks, in all runs, at which a due row had not come.
     limits_alone
         Whether only limits and time were judged: the runs are simulated, and the machine file has
         no dynamics.
@@ -405,7 +405,7 @@ class Verdict:
 
     @property
     def covers(self) -> float:
-        """Share of all runs of the machine that the worst of these holds for, with 95 % confidence.
+        """Share of all runs that are no worse than the worst of these runs, with 95 % confidence.
 
         The bound of order statistics for any distribution: ``0.05 ** (1 / runs)``.
         """
@@ -420,7 +420,7 @@ class Verdict:
 
     @property
     def passed(self) -> bool:
-        """Nothing failed, every required criterion was measured, and every run was complete."""
+        """Whether nothing failed, every required criterion was measured, every run was complete."""
         return not self.incomplete and all(
             result.status is not Status.FAILED
             and not (result.required and result.status is Status.NOT_MEASURED)
@@ -428,7 +428,7 @@ class Verdict:
         )
 
     def result(self, name: str, axis: str = "") -> Result:
-        """Return the result of a criterion, for the worst axis if none is named.
+        """Return the result of a criterion, for the worst axis if no axis is named.
 
         Raises
         ------

@@ -1,14 +1,15 @@
-"""The part of the programmed path around the current operations, all that the judge holds of it.
+"""The part of the programmed path around the current operations; the judge holds no other part.
 
-The pieces of a trajectory carry their operation, but a piece may span many operations, and
-smoothing in time shifts the operation by up to its width. Only the order is certain: after one
-point the next is passed at the first instant at which the distance to it is a minimum.
+The pieces of a trajectory name their operation, but a piece may span many operations, and smoothing
+in time shifts the operation by up to its width. Only the order is certain: after a point, the next
+point is passed at the first instant at which the distance to it is a minimum.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -23,9 +24,9 @@ from threadline.verdict.straight_runs import Runs, straight_runs
 class Remainder:
     """The part of the path that a recording never reached.
 
-    ``distance_m``, (runs,), is the distance of its farthest vertex from the machine; operation and
-    line, (runs,), and position, (runs, axes), belong to that vertex; ``end`` is the (axes,) end of
-    the path, lengths at the tool.
+    ``distance_m``, (runs,), is the distance of its farthest vertex from the machine. ``operation``
+    and ``line``, (runs,), and ``position``, (runs, axes), belong to that vertex. ``end``, (axes,),
+    is the end of the path, lengths at the tool.
     """
 
     distance_m: FloatArray
@@ -57,7 +58,8 @@ class PathWindow:
     vertices
         (m, axes) lengths at the tool: rotary axes times their radius.
     begun, operation, line
-        (m,) first and last operation of the chord into each vertex, and the job line of the last.
+        (m,) first and last operation of the chord into each vertex, and the job line of the last
+        operation.
     speed_m_s
         (m,) programmed speed of the chord into each vertex, at the tool; NaN without one.
     radius_m, local
@@ -77,7 +79,7 @@ class PathWindow:
         self.operation: IntArray = np.empty(0, dtype=np.int64)
         self.line: IntArray = np.empty(0, dtype=np.int64)
         self.speed_m_s: FloatArray = np.empty(0)
-        # For each move: its chord, counted from the start, the length to its end, and so on.
+        # For each move: its chord, counted from the start, the distance of its end, and so on.
         self._part_of: IntArray = np.empty(0, dtype=np.int64)
         self._part_m: FloatArray = np.empty(0)
         self._part_operation: IntArray = np.empty(0, dtype=np.int64)
@@ -91,11 +93,11 @@ class PathWindow:
 
     @property
     def shares(self) -> FloatArray | None:
-        """(m, axes) ratio of a length at each vertex to one at the largest radii; None: 1."""
+        """(m, axes) ratio of lengths at each vertex to lengths at the largest radii; None: 1."""
         return None if self.local is None else self.local.shares(self.vertices / self.radius_m)
 
     def reach(self, latest: int) -> None:
-        """Read on until every chord of the operation ``latest`` and the next one is held."""
+        """Read on until every chord of the operation ``latest``, and one more, is held."""
         while not self.ended and (not len(self) or self.operation[-1] <= latest):
             self._extend()
 
@@ -129,15 +131,15 @@ class PathWindow:
         end = np.searchsorted(self._part_of, chord + self.first, side="right")
         for row in np.flatnonzero(end - begin > 1):
             start = self.vertices[chord[row] - 1]
-            way = self.vertices[chord[row]] - start
-            along_m = (points[row] - start) @ way / np.linalg.norm(way)
-            those = slice(begin[row], end[row] - 1)  # farther places belong to the last
-            part = begin[row] + np.searchsorted(self._part_m[those], along_m)
+            vector = self.vertices[chord[row]] - start
+            along_m = (points[row] - start) @ vector / np.linalg.norm(vector)
+            inner = slice(begin[row], end[row] - 1)  # points farther on belong to the last move
+            part = begin[row] + np.searchsorted(self._part_m[inner], along_m)
             found[row] = self._part_line[part]
         return found
 
     def begins(self, operation: IntArray, chord: IntArray) -> FloatArray:
-        """Return (n,) share of a chord at which the first move of an operation on it begins.
+        """Return (n,) share of a chord at which an operation's first move on it begins.
 
         ``chord`` is counted within the window.
         """
@@ -159,17 +161,17 @@ class PathWindow:
     def chords(self, operation: IntArray) -> tuple[IntArray, IntArray]:
         """Return (n,) first and last chord of each operation; chord c ends at vertex c.
 
-        An operation without motion (a dwell, an output) has the chord that led to its place.
+        An operation without motion (a dwell, an output) has the chord that led to its position.
         """
         left = np.searchsorted(self.operation, operation, side="left")
         last = np.searchsorted(self.begun, operation, side="right") - 1
         most = max(len(self) - 1, 1)
-        # An operation without a vertex has its predecessor's chord, where the machine stands.
+        # An operation without a vertex has its predecessor's chord, where the machine rests.
         first = np.minimum(np.maximum(np.minimum(left, last), 1), most)
         return first, np.minimum(np.maximum(last, 1), most)
 
     def remainder(self, point: FloatArray) -> Remainder | None:
-        """Return the path after the window; reads it to its end, once.
+        """Return the path after the window. The first call reads the path to its end.
 
         Parameters
         ----------
@@ -220,12 +222,26 @@ class PathWindow:
 
 _NEAR = 0.25  # of the distance from point to point: a minimum this near is the passing
 _FAR = 2.0
-"""Share of that distance, plus the previous point's distance, in which to look for a nearer one."""
-_STRIDE = 0.125  # of that distance: the usual largest step per instant, never exceeded twofold
+"""Path on which to look for a nearer minimum, in the sum of two distances: between the points, and
+of the trajectory from the first point."""
+_STRIDE = 0.125  # of the distance from point to point: the usual step, never exceeded twofold
 _HALVINGS = 60  # of an interval about a minimum: to the last digits of a double
 _FINEST = 1e-9  # of the duration of a piece: the shortest stride
 _ROUNDING = 1e-15  # of the time
 _SAME_M = 1e-12  # a piece that ends this near to a minimum ends at it
+
+
+class _Pieces(NamedTuple):
+    """Consecutive pieces of a trajectory, p of them: polynomials in the share of their duration.
+
+    ``coefficients`` is (p, order, axes), lowest power first; ``start_s`` and ``duration_s`` are
+    (p,). ``ended`` says that the trajectory has no later piece.
+    """
+
+    coefficients: FloatArray
+    start_s: FloatArray
+    duration_s: FloatArray
+    ended: bool
 
 
 class TrajectoryFollower:
@@ -234,7 +250,7 @@ class TrajectoryFollower:
     Parameters
     ----------
     blocks
-        Blocks of the trajectory; pieces that stand still may be left out.
+        Blocks of the trajectory; pieces without motion may be left out.
     columns, radius
         (k,) columns of the axes, and lengths at the tool for each: m per m, or m per rad.
     start
@@ -250,12 +266,12 @@ class TrajectoryFollower:
     ) -> None:
         self._blocks: Iterator[TrajectoryBlock] = iter(blocks)
         self._columns, self._radius = columns, radius
-        self._start_s = self._duration_s = np.empty(0)
-        self._pieces: FloatArray = np.empty((0, 1, len(columns)))
+        none = np.empty(0)
+        self._pieces = _Pieces(np.empty((0, 1, len(columns))), none, none, ended=False)
         self._point = np.asarray(start, dtype=np.float64)
-        self._ended = False
         self._read()
-        self.time_s = float(self._start_s[0]) if len(self._start_s) else 0.0
+        start_s = self._pieces.start_s
+        self.time_s = float(start_s[0]) if len(start_s) else 0.0
 
     def times(self, points: FloatArray) -> FloatArray:
         """Return when the first of ``points``, at least one of them, are passed.
@@ -268,11 +284,8 @@ class TrajectoryFollower:
         """
         points = np.ascontiguousarray(points, dtype=np.float64)
         out = np.full(len(points), self.time_s)
-        while len(self._start_s):
-            done = _pass(
-                points, self._point, self._pieces, self._start_s, self._duration_s, self.time_s,
-                self._ended, out,
-            )  # fmt: skip
+        while len(self._pieces.start_s):
+            done = _pass(points, self._point, self._pieces, self.time_s, out)
             if done:
                 break
             self._read()
@@ -280,36 +293,42 @@ class TrajectoryFollower:
             done = len(points)
         self.time_s, self._point = float(out[done - 1]), points[done - 1]
         # The previous piece stays: a minimum at a joint is at its end.
-        first = int(np.searchsorted(self._start_s, self.time_s, side="right")) - 2
+        coefficients, start_s, duration_s, ended = self._pieces
+        first = int(np.searchsorted(start_s, self.time_s, side="right")) - 2
         kept = slice(max(first, 0), None)
-        self._start_s, self._duration_s = self._start_s[kept], self._duration_s[kept]
-        self._pieces = self._pieces[kept]
+        self._pieces = _Pieces(coefficients[kept], start_s[kept], duration_s[kept], ended)
         return out[:done]
 
     def _read(self) -> None:
         """Append a block to the buffered pieces."""
         block = next(self._blocks, None)
+        held = self._pieces
         if block is None:
-            self._ended = True
+            self._pieces = held._replace(ended=True)
             return
         fresh = block.coefficients[:, :, self._columns] * self._radius
-        order = max(fresh.shape[1], self._pieces.shape[1])
-        both = (np.pad(c, ((0, 0), (0, order - c.shape[1]), (0, 0))) for c in (self._pieces, fresh))
-        self._pieces = np.concatenate(list(both))
-        self._start_s = np.concatenate([self._start_s, block.start_s])
-        self._duration_s = np.concatenate([self._duration_s, block.duration_s])
+        known = held.coefficients
+        order = max(fresh.shape[1], known.shape[1])
+        both = (np.pad(c, ((0, 0), (0, order - c.shape[1]), (0, 0))) for c in (known, fresh))
+        self._pieces = _Pieces(
+            np.concatenate(list(both)),
+            np.concatenate([held.start_s, block.start_s]),
+            np.concatenate([held.duration_s, block.duration_s]),
+            ended=False,
+        )
 
 
 @njit()
-def _place(c, start, duration, i, t, at, speed):  # type: ignore[no-untyped-def]
-    """Fill in place and velocity at the instant ``t`` of piece ``i``."""
+def _evaluate(pieces, i, t, state):  # type: ignore[no-untyped-def]
+    """Fill in ``state``, (2, axes), with position and velocity at the instant ``t`` of piece i."""
+    c, start, duration, _ = pieces
     u = min(max((t - start[i]) / duration[i], 0.0), 1.0)
     for a in range(c.shape[2]):
         place, slope = 0.0, 0.0
         for k in range(c.shape[1] - 1, -1, -1):
             slope = slope * u + place
             place = place * u + c[i, k, a]
-        at[a], speed[a] = place, slope / duration[i]
+        state[0, a], state[1, a] = place, slope / duration[i]
 
 
 @njit()
@@ -321,31 +340,32 @@ def _gap(a, b):  # type: ignore[no-untyped-def]
 
 
 @njit()
-def _nears(at, speed, point):  # type: ignore[no-untyped-def]
+def _nears(state, point):  # type: ignore[no-untyped-def]
     """Return half the rate of the squared distance to ``point``: negative while approaching."""
     total = 0.0
-    for k in range(len(at)):
-        total += (at[k] - point[k]) * speed[k]
+    for k in range(len(point)):
+        total += (state[0, k] - point[k]) * state[1, k]
     return total
 
 
 @njit()
-def _turn(c, start, duration, piece, low, high, point, at, speed):  # type: ignore[no-untyped-def]
+def _turn(pieces, piece, low, high, point, state):  # type: ignore[no-untyped-def]
     """Return when ``point`` is nearest, between two instants of a piece; by bisection."""
     for _ in range(_HALVINGS):
         middle = 0.5 * (low + high)
-        _place(c, start, duration, piece, middle, at, speed)
-        if _nears(at, speed, point) < 0.0:
+        _evaluate(pieces, piece, middle, state)
+        if _nears(state, point) < 0.0:
             low = middle
         else:
             high = middle
-    _place(c, start, duration, piece, high, at, speed)
+    _evaluate(pieces, piece, high, state)
     return high
 
 
 @njit()
-def _step(c, start, duration, piece, t, most, state, to):  # type: ignore[no-untyped-def]
-    """Return an instant after ``t`` of a piece, about ``most`` away by path; fill in ``to``."""
+def _step(pieces, piece, t, most, state, to):  # type: ignore[no-untyped-def]
+    """Return an instant after ``t`` of a piece, a path of about ``most`` later; fill in ``to``."""
+    _, start, duration, _ = pieces
     end = start[piece] + duration[piece]
     finest = max(_FINEST * duration[piece], _ROUNDING * t)
     stride = min(0.5 * duration[piece], end - t)
@@ -353,87 +373,88 @@ def _step(c, start, duration, piece, t, most, state, to):  # type: ignore[no-unt
     if fast * stride > most:
         stride = max(most / fast, finest)
     then = end if t + stride >= end else t + stride
-    _place(c, start, duration, piece, then, to[0], to[1])
+    _evaluate(pieces, piece, then, to)
     while _gap(to[0], state[0]) > 2.0 * most and then - t > 2.0 * finest:
         then = t + 0.5 * (then - t)
-        _place(c, start, duration, piece, then, to[0], to[1])
+        _evaluate(pieces, piece, then, to)
     return then
 
 
 @njit()
-def _find(c, start, duration, ended, piece, t, point, way, state, to):  # type: ignore[no-untyped-def]
+def _find(pieces, piece, t, point, reach, state, to):  # type: ignore[no-untyped-def]
     """Return when and in which piece a point is passed, from ``t`` on; piece -1: not known yet.
 
-    ``state`` and ``to``, (2, axes), are work arrays for places and velocities.
+    ``reach`` is the distance from the point before, and the path on which to look for a nearer
+    minimum. ``state`` and ``to``, (2, axes), are work arrays for positions and velocities.
     """
-    _place(c, start, duration, piece, t, state[0], state[1])
-    nears = _nears(state[0], state[1], point)
+    _, start, duration, ended = pieces
+    _evaluate(pieces, piece, t, state)
+    nears = _nears(state, point)
     travelled, least, found_s, found = 0.0, np.inf, t, piece
     while True:
         end, here = start[piece] + duration[piece], piece
         if t < end:
-            then = _step(c, start, duration, piece, t, _STRIDE * way[0], state, to)
+            then = _step(pieces, piece, t, _STRIDE * reach[0], state, to)
         elif piece + 1 < len(start):
             piece += 1
             then = start[piece]
-            _place(c, start, duration, piece, then, to[0], to[1])
+            _evaluate(pieces, piece, then, to)
         elif not ended:
             return t, -1
         elif nears < 0.0 and _gap(state[0], point) < least:
             return end, piece
         else:
             return found_s, found
-        after = _nears(to[0], to[1], point)
+        after = _nears(to, point)
         travelled += _gap(to[0], state[0])
         if nears < 0.0 <= after:
-            if piece == here:
-                turn_s = _turn(c, start, duration, piece, t, then, point, state[0], state[1])
-            else:
-                turn_s = end
+            turn_s = _turn(pieces, piece, t, then, point, state) if piece == here else end
             if _gap(state[0], point) < least:
                 least, found_s, found = _gap(state[0], point), turn_s, here
-                if least <= _NEAR * way[0]:
+                if least <= _NEAR * reach[0]:
                     return found_s, found
         t, nears = then, after
         for a in range(state.shape[1]):  # assigning the whole array takes seconds to compile
             state[0, a], state[1, a] = to[0, a], to[1, a]
-        if travelled > way[1] and (nears >= 0.0 or _gap(state[0], point) >= least):
+        if travelled > reach[1] and (nears >= 0.0 or _gap(state[0], point) >= least):
             return found_s, found
 
 
 @njit()
-def _end_of(c, start, duration, begin_s, t, piece, state, to):  # type: ignore[no-untyped-def]
+def _end_of(pieces, begin_s, t, piece, state, to):  # type: ignore[no-untyped-def]
     """Return the instant and piece of a minimum; the end of the piece if that is very near.
 
     Motion that ends at a minimum approaches it ever more slowly: it is passed at the end. If a rest
     follows, that is the end before the rest.
     """
-    _place(c, start, duration, piece, t, state[0], state[1])
+    _, start, duration, _ = pieces
+    _evaluate(pieces, piece, t, state)
     for k in range(max(piece - 1, 0), piece + 1):
         end = start[k] + duration[k]
-        _place(c, start, duration, k, end, to[0], to[1])
+        _evaluate(pieces, k, end, to)
         if end >= begin_s and _gap(to[0], state[0]) <= _SAME_M:
             return end, k
     return t, piece
 
 
 @njit()
-def _pass(points, origin, c, start, duration, begin_s, ended, out):  # type: ignore[no-untyped-def]
+def _pass(points, origin, pieces, begin_s, out):  # type: ignore[no-untyped-def]
     """Fill in when points are passed; return the number of points that these pieces decide."""
-    state, to, way = np.empty((2, c.shape[2])), np.empty((2, c.shape[2])), np.empty(2)
+    c, start, duration, _ = pieces
+    state, to, reach = np.empty((2, c.shape[2])), np.empty((2, c.shape[2])), np.empty(2)
     now, piece, before = begin_s, 0, origin
     while piece + 1 < len(start) and now >= start[piece] + duration[piece]:
         piece += 1
     for n in range(len(points)):
         point = points[n]
-        way[0] = _gap(point, before)
-        if way[0] > 0.0:
+        reach[0] = _gap(point, before)
+        if reach[0] > 0.0:
             t = max(now, start[piece])
-            _place(c, start, duration, piece, t, state[0], state[1])
-            way[1] = _FAR * (way[0] + _gap(state[0], before))
-            found_s, found = _find(c, start, duration, ended, piece, t, point, way, state, to)
+            _evaluate(pieces, piece, t, state)
+            reach[1] = _FAR * (reach[0] + _gap(state[0], before))
+            found_s, found = _find(pieces, piece, t, point, reach, state, to)
             if found < 0:
                 return n
-            now, piece = _end_of(c, start, duration, now, found_s, found, state, to)
+            now, piece = _end_of(pieces, now, found_s, found, state, to)
         out[n], before = now, point
     return len(points)
