@@ -224,9 +224,9 @@ def coarse_scan(monkeypatch: pytest.MonkeyPatch) -> None:
     from threadline.search import feed_ranges as edges
 
     spaced: Any = fastest._spaced
-    finer: Any = fastest._finer
+    finer: Any = fastest._with_more_feeds
     monkeypatch.setattr(fastest, "_spaced", lambda *of: spaced(*of[:2], min(of[2], 8)))
-    monkeypatch.setattr(fastest, "_finer", lambda *of: finer(*of[:2], min(of[2], 1)))
+    monkeypatch.setattr(fastest, "_with_more_feeds", lambda *of: finer(*of[:2], min(of[2], 1)))
     monkeypatch.setattr(edges, "INSIDE", 2)
     monkeypatch.setattr(edges, "_BESIDE", (-3, 3))
 

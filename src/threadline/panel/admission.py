@@ -77,12 +77,12 @@ class Admission:
     token: str
 
     def __post_init__(self) -> None:
-        wrong = sorted({one for one in self.token if not _FIRST <= one <= _LAST})
-        if wrong:
-            named = ", ".join(map(ascii, wrong[:_MOST_NAMED]))
-            more = " and others" if len(wrong) > _MOST_NAMED else ""
+        not_allowed = sorted({one for one in self.token if not _FIRST <= one <= _LAST})
+        if not_allowed:
+            shown = ", ".join(map(ascii, not_allowed[:_MOST_NAMED]))
+            others = " and others" if len(not_allowed) > _MOST_NAMED else ""
             raise OptionError(
-                f"--token holds {named}{more}, which an HTTP header does not allow in a word",
+                f"--token holds {shown}{others}, which an HTTP header does not allow in a word",
                 remedy="Give 16 or more of the characters ! to ~: letters, digits, signs.",
             )
         if self.token and len(self.token) < _LEAST_TOKEN:
@@ -144,18 +144,18 @@ class AdmittingApp:
             return
         headers = Headers(scope=scope)
         socket = scope["type"] == "websocket"
-        why = self._admission.refusal(headers, not socket and scope["method"] in _READS)
+        refusal = self._admission.refusal(headers, not socket and scope["method"] in _READS)
         status = 403
-        if not why and not socket and scope["path"].startswith("/api"):
+        if not refusal and not socket and scope["path"].startswith("/api"):
             token = headers.get("authorization", "").removeprefix("Bearer ")
             if not self._admission.knows(token if self._admission.token else ""):
-                why, status = "the token is not the right one", 401
-        if not why:
+                refusal, status = "the token is not the right one", 401
+        if not refusal:
             await self._app(scope, receive, send)
         elif socket:
-            await send({"type": "websocket.close", "code": 4403, "reason": why})
+            await send({"type": "websocket.close", "code": 4403, "reason": refusal})
         else:
-            answer = PlainTextResponse(f"{why}\n", status_code=status, headers=dict(HEADERS))
+            answer = PlainTextResponse(f"{refusal}\n", status_code=status, headers=dict(HEADERS))
             await answer(scope, receive, send)
 
 
@@ -185,11 +185,11 @@ class PromptHttp(H11Protocol):
         """Process received data, and wait for the rest of the request if it is incomplete."""
         super().data_received(data)
         now_s = self.loop.time()
-        gone = self.transport.is_closing() or self.transport.get_protocol() is not self
-        if not gone and self.conn.their_state is h11.SEND_BODY:
+        is_closed = self.transport.is_closing() or self.transport.get_protocol() is not self
+        if not is_closed and self.conn.their_state is h11.SEND_BODY:
             self._body_until_s = self._body_until_s or now_s + MOST_BODY_S
             self._await_until(min(now_s + HALF_OPEN_S, self._body_until_s))
-        elif gone or self.conn.their_state is not h11.IDLE:
+        elif is_closed or self.conn.their_state is not h11.IDLE:
             self._have()
         elif self._due is None:  # another request on the same connection
             self._await_until(now_s + HALF_OPEN_S)

@@ -116,7 +116,9 @@ def figures(proof: Proof) -> dict[str, Any]:
         "criteria": criteria_json(verdict),
         "times_s": [round(float(t), 6) for t in times_s],
         "mandrel": None if (found := mandrel_of(plan.machine)) is None else found.model_dump(),
-        "planned": {name: [round(float(p), 7) for p in at] for name, at in planned_at.items()},
+        "planned": {
+            name: [round(float(p), 7) for p in positions] for name, positions in planned_at.items()
+        },
         **plan_views(proof),
     }
 
@@ -134,16 +136,16 @@ def wound(proof: Proof) -> dict[str, Any] | None:
     assert turn is not None and along is not None  # a machine with an eye has both axes
     surface, fibre = job.surface, samples.fibre
     u = np.linspace(0.0, surface.length_m, _OUTLINE)
-    known = np.flatnonzero(fibre.known)
-    if not len(known):
+    known_rows = np.flatnonzero(fibre.known)
+    if not len(known_rows):
         return None
-    length = np.maximum.accumulate(fibre.length_m[known])
+    length = np.maximum.accumulate(fibre.length_m[known_rows])
     step = max(0.5 * job.width_m, float(length[-1] - length[0]) / _MOST_PLACES)
-    fresh = np.diff(known, prepend=-2) > 1
-    kept = np.flatnonzero(fresh | (np.diff(np.floor(length / step), prepend=-1.0) > 0.0))
-    steer = np.nan_to_num(np.abs(fibre.steer[known]))
-    slips = np.maximum.reduceat(steer, kept) > least_friction(job.product)
-    rows = known[kept]
+    begins = np.diff(known_rows, prepend=-2) > 1
+    drawn = np.flatnonzero(begins | (np.diff(np.floor(length / step), prepend=-1.0) > 0.0))
+    steer = np.nan_to_num(np.abs(fibre.steer[known_rows]))
+    slips = np.maximum.reduceat(steer, drawn) > least_friction(job.product)
+    rows = known_rows[drawn]
     x, r = (values[:, 0] for values in surface.at(fibre.u[rows]))
     outline = surface.at(u)
     return {
@@ -159,7 +161,7 @@ def wound(proof: Proof) -> dict[str, Any] | None:
         "radius": _rounded(r),
         "angle": _rounded(fibre.angle[rows]),
         "winding": _rounded(fibre.winding[rows]),
-        "begins": fresh[kept].tolist(),
+        "begins": begins[drawn].tolist(),
         "slips": slips.tolist(),
     }
 
@@ -173,21 +175,21 @@ def circuits_and_points(job: Job) -> tuple[int | None, int]:
 
     The number of passes is None if there are fewer than two.
     """
-    circuits, points, least = 0, 0, 0
-    before: Source | None = None
+    circuits, points, least_times = 0, 0, 0
+    previous_source: Source | None = None
     for item, times, _ in job.folded():
         if times == 0:  # the end of repeated passes
             continue
         first, last = _end_sources(item)
-        if begins_circuit(before, first):
+        if begins_circuit(previous_source, first):
             # The moves of a pass that are in no inner call happen least often.
-            circuits, least = circuits + least, times
+            circuits, least_times = circuits + least_times, times
         elif first.passes:
-            least = min(least, times)
-        before = last
+            least_times = min(least_times, times)
+        previous_source = last
         if isinstance(item, MoveRun | Move):
             points += times * (len(item) if isinstance(item, MoveRun) else 1)
-    circuits += least
+    circuits += least_times
     return (circuits if circuits > 1 else None), points
 
 
@@ -202,18 +204,20 @@ def _end_sources(item: Operation | MoveRun) -> tuple[Source, Source]:
 def _commanded(proof: Proof) -> tuple[FloatArray, dict[str, FloatArray]]:
     """Return at most ``_SHOWN`` instants, and the commanded position of every axis at them."""
     recording = proof.recording
-    found = {c.axis: c for c in recording.channels if c.kind is ChannelKind.COMMANDED}
-    if not found:
+    channels = {c.axis: c for c in recording.channels if c.kind is ChannelKind.COMMANDED}
+    if not channels:
         return np.empty(0), {}
-    parts: dict[str, list[FloatArray]] = {name: [] for name in found}
+    parts: dict[str, list[FloatArray]] = {name: [] for name in channels}
     for block in recording:
-        for name, channel in found.items():
+        for name, channel in channels.items():
             parts[name].append(block.samples[channel.name])
-    at = {name: np.concatenate(arrays) for name, arrays in parts.items()}
-    clock = next(iter(found.values())).clock
-    every = -(-len(next(iter(at.values()))) // _SHOWN)
-    times_s = float(clock.period_s) * np.arange(len(next(iter(at.values()))), dtype=np.float64)
-    return times_s[::every], {name: values[::every] for name, values in at.items()}
+    positions = {name: np.concatenate(arrays) for name, arrays in parts.items()}
+    clock = next(iter(channels.values())).clock
+    stride = -(-len(next(iter(positions.values()))) // _SHOWN)
+    times_s = float(clock.period_s) * np.arange(
+        len(next(iter(positions.values()))), dtype=np.float64
+    )
+    return times_s[::stride], {name: values[::stride] for name, values in positions.items()}
 
 
 def _share(_what: str, share: float) -> None:

@@ -99,16 +99,16 @@ def add_guide(app: FastAPI, guide: MachineGuide) -> None:
 
     @app.get("/api/guide", responses=_WHY)  # type: ignore[arg-type]
     async def tables() -> Response:
-        found = await guide.tables()
-        if isinstance(found, str):
-            return PlainTextResponse(f"{found}\n", 422)
-        return JSONResponse(found)
+        tables_or_refusal = await guide.tables()
+        if isinstance(tables_or_refusal, str):
+            return PlainTextResponse(f"{tables_or_refusal}\n", 422)
+        return JSONResponse(tables_or_refusal)
 
     @app.get("/api/guide.pdf", responses=_WHY)  # type: ignore[arg-type]
     async def printable() -> Response:
-        found = await guide.tables()
-        if isinstance(found, str):
-            return PlainTextResponse(f"{found}\n", 422)
+        tables_or_refusal = await guide.tables()
+        if isinstance(tables_or_refusal, str):
+            return PlainTextResponse(f"{tables_or_refusal}\n", 422)
         return FileResponse(guide.printable, media_type="application/pdf")
 
 
@@ -165,13 +165,13 @@ class Calculation:
         words, sent = program_apart(_PREVIEW), json.dumps(content).encode()
         try:
             async with self._one_preview:
-                status, found, _ = await answer_of(*words, sent=sent, longest_s=PREVIEW_S)
+                status, output, _ = await answer_of(*words, sent=sent, longest_s=PREVIEW_S)
         except TimeoutError:
             return f"{program[:60]!r} takes longer than {PREVIEW_S:g} s to read: calculate it"
         if status:
             return f"{program[:60]!r} cannot be shown: the process that read it has ended"
-        why = json.loads(found).get("error")
-        return found if why is None else str(why)
+        why = json.loads(output).get("error")
+        return output if why is None else str(why)
 
     def begin(self, request: Calculate, tell: Callable[[Figures | str], None]) -> None:
         """Begin a calculation, and forget the previous one.
@@ -250,15 +250,15 @@ class Calculation:
             assert process.stdout is not None
             process.stdin.write(json.dumps(content).encode())
             process.stdin.close()
-            why = "the calculation has ended without an answer"
+            failure = "the calculation has ended without an answer"
             async for line in process.stdout:
-                said = json.loads(line)
-                self.share = said.get("share", self.share)
-                why = said.get("error", why)
-                if "figures" in said:
-                    tell(self._taken(said["figures"], words))
+                message = json.loads(line)
+                self.share = message.get("share", self.share)
+                failure = message.get("error", failure)
+                if "figures" in message:
+                    tell(self._taken(message["figures"], words))
                     return
-            tell(why)
+            tell(failure)
         finally:
             with suppress(ProcessLookupError):
                 process.kill()

@@ -112,7 +112,7 @@ def opened(name: str, content: bytes) -> dict[str, list[Any]]:
     drawing = _read(name, content)
     _refuse_points(drawing.strokes, name)
     strokes, _ = drop_zero_lengths(drawing.strokes, name)
-    found = [
+    shapes = [
         {
             "kind": kind,
             "points": np.round(1e3 * points, 6).tolist(),
@@ -122,16 +122,16 @@ def opened(name: str, content: bytes) -> dict[str, list[Any]]:
         for group, stroke in enumerate(strokes, 1)
         for kind, points in _parts(stroke.pieces)
     ]
-    if not found or len(found) > MOST_SHAPES:
+    if not shapes or len(shapes) > MOST_SHAPES:
         raise JobError(
-            f"the drawing has {len(found)} lines, the page can edit 1 to {MOST_SHAPES}",
+            f"the drawing has {len(shapes)} lines, the page can edit 1 to {MOST_SHAPES}",
             place=Place(name),
             remedy="Sew it unedited: name it in a seam file.",
         )
-    known = _add_remarks(found, name, content) if name.lower().endswith(".dxf") else set()
-    refusals = [refusal for refusal in drawing.refusals if refusal.line not in known]
-    left = [f"{name}:{refusal.line}: {refusal.message}" for refusal in refusals]
-    return {"shapes": found, "left_out": left[:_MOST_TOLD]}
+    remark_lines = _add_remarks(shapes, name, content) if name.lower().endswith(".dxf") else set()
+    refusals = [refusal for refusal in drawing.refusals if refusal.line not in remark_lines]
+    left_out = [f"{name}:{refusal.line}: {refusal.message}" for refusal in refusals]
+    return {"shapes": shapes, "left_out": left_out[:_MOST_TOLD]}
 
 
 def _refuse_points(strokes: Sequence[Stroke], name: str) -> None:
@@ -158,7 +158,7 @@ def _add_remarks(shapes: list[dict[str, Any]], name: str, content: bytes) -> set
     """
     with _as_file(name, content) as file:
         leaders, fills = read_remarks(content, str(file), MOST_SHAPES - len(shapes))
-    known: set[int] = set()
+    remark_lines: set[int] = set()
     rings = measured_rings(
         [
             1e-3 * ring_of(DrawnShape(kind=one["kind"], points=1e-3 * np.array(one["points"])))
@@ -166,10 +166,10 @@ def _add_remarks(shapes: list[dict[str, Any]], name: str, content: bytes) -> set
         ]
     )
     for filling in fills:
-        of = filled_by(filling.ring, rings)
-        if of is not None and filling.line:
-            shapes[of]["fill"] = filling.fill
-            known.add(filling.line)
+        filled_index = filled_by(filling.ring, rings)
+        if filled_index is not None and filling.line:
+            shapes[filled_index]["fill"] = filling.fill
+            remark_lines.add(filling.line)
     group = max((one["group"] for one in shapes), default=0)
     for number, leader in enumerate(leaders, group + 1):
         points = np.round(1e3 * leader.points, 6).tolist()
@@ -182,8 +182,8 @@ def _add_remarks(shapes: list[dict[str, Any]], name: str, content: bytes) -> set
                 "style": leader.style,
             }
         )
-        known.update(leader.lines)
-    return known - {0}
+        remark_lines.update(leader.lines)
+    return remark_lines - {0}
 
 
 @contextmanager
@@ -211,7 +211,7 @@ def _read(name: str, content: bytes) -> Drawing:
 
 def _parts(pieces: Pieces) -> list[tuple[ShapeKind, FloatArray]]:
     """Return the shapes of one stroke: runs of chords, arcs and circles, each (n, 2) m."""
-    found: list[tuple[ShapeKind, FloatArray]] = []
+    shapes: list[tuple[ShapeKind, FloatArray]] = []
     chords: list[FloatArray] = []
 
     def end_chords() -> None:
@@ -219,7 +219,7 @@ def _parts(pieces: Pieces) -> list[tuple[ShapeKind, FloatArray]]:
             return
         points = np.vstack([chords[0][:1], *(part[1:] for part in chords)])
         closed = len(points) > 3 and bool(np.hypot(*(points[-1] - points[0])) <= _CLOSED_M)
-        found.append(("polygon", points[:-1]) if closed else ("line", points))
+        shapes.append(("polygon", points[:-1]) if closed else ("line", points))
         chords.clear()
 
     for k in range(len(pieces)):
@@ -230,11 +230,11 @@ def _parts(pieces: Pieces) -> list[tuple[ShapeKind, FloatArray]]:
         end_chords()
         points = pieces.evaluate(np.full(3, k), np.array([0.0, 0.5, 1.0]))[0]
         if abs(abs(pieces.sweep_rad[k]) - 2.0 * np.pi) < 1e-9:
-            found.append(("circle", np.vstack([pieces.top[k, :1], points[:1]])))
+            shapes.append(("circle", np.vstack([pieces.top[k, :1], points[:1]])))
         else:
-            found.append(("arc", points))
+            shapes.append(("arc", points))
     end_chords()
-    return found
+    return shapes
 
 
 def outlines(lettering: Lettering) -> list[dict[str, Any]]:
@@ -280,6 +280,6 @@ def answered(what: str, name: str, content: bytes) -> tuple[int, bytes]:
 def main() -> None:
     """Answer the request on standard input."""
     what, name = sys.argv[1:]
-    status, said = answered(what, name, sys.stdin.buffer.read())
-    (sys.stderr if status else sys.stdout).buffer.write(said)
+    status, output = answered(what, name, sys.stdin.buffer.read())
+    (sys.stderr if status else sys.stdout).buffer.write(output)
     sys.exit(status)

@@ -86,16 +86,16 @@ async def _answered(
 ) -> Response:
     """Return the answer to the body of a request, or why there is none."""
     try:
-        made = await answer(await whole_body(request))
+        answer_content = await answer(await whole_body(request))
     except TooLongError:
         return PlainTextResponse(f"more than {MOST_UPLOAD} bytes\n", 413)
     except ClientDisconnect:  # nobody reads the answer
         return PlainTextResponse("the request broke off\n", 400)
     except ValidationError as error:
         return PlainTextResponse(f"{why_invalid(error)}\n", 422)
-    if isinstance(made, str):
-        return PlainTextResponse(f"{made}\n", 422)
-    return Response(made, media_type=media_type)
+    if isinstance(answer_content, str):
+        return PlainTextResponse(f"{answer_content}\n", 422)
+    return Response(answer_content, media_type=media_type)
 
 
 async def whole_body(request: Request) -> bytes:

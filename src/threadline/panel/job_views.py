@@ -51,19 +51,19 @@ _LEAST_TURN_M = 1e-4  # least distance between two turn-rounds
 
 def plan_views(proof: Proof) -> dict[str, Any]:
     """Return lines, stitches, steps and switchings over the time of a proof's first run."""
-    begun = _Operations.of(proof.recording)
+    operations = _Operations.of(proof.recording)
     job = proof.plan.job
-    lines, circuits = _lines(job, begun.operation)
-    kept = np.flatnonzero(np.diff(lines, prepend=-1) | np.diff(circuits, prepend=0))
-    kept = kept[:: max(1, -(-len(kept) // MOST_POINTS))]
+    lines, circuits = _lines(job, operations.operation)
+    shown = np.flatnonzero(np.diff(lines, prepend=-1) | np.diff(circuits, prepend=0))
+    shown = shown[:: max(1, -(-len(shown) // MOST_POINTS))]
     return {
         "lines": {
-            "times_s": _listed(begun.begin_s[kept]),
-            "line": lines[kept].tolist(),
-            "circuit": circuits[kept].tolist(),
+            "times_s": _listed(operations.begin_s[shown]),
+            "line": lines[shown].tolist(),
+            "circuit": circuits[shown].tolist(),
         },
-        "stitches": _stitches(job, begun, _uses(proof)),
-        "steps": _steps(job, begun),
+        "stitches": _stitches(job, operations, _uses(proof)),
+        "steps": _steps(job, operations),
         "lanes": _lanes(proof.recording),
         "turn_rounds": _turn_rounds(proof),
         "tension": _tension(proof.recording),
@@ -78,20 +78,20 @@ class _Operations:
 
     @classmethod
     def of(cls, recording: Recording) -> _Operations:
-        found = next((c for c in recording.channels if c.kind is ChannelKind.OPERATION), None)
-        if found is None:
+        channel = next((c for c in recording.channels if c.kind is ChannelKind.OPERATION), None)
+        if channel is None:
             return cls(np.zeros(0, np.int64), np.zeros(0), 0.0)
-        period_s = float(found.clock.period_s) * found.stride
-        at: list[IntArray] = [np.zeros(0, np.int64)]
+        period_s = float(channel.clock.period_s) * channel.stride
+        operations: list[IntArray] = [np.zeros(0, np.int64)]
         begin_s: list[FloatArray] = [np.zeros(0)]
         count, latest = 0, -1
         for block in recording:
-            values = block.samples[found.name].astype(np.int64)
-            fresh = np.flatnonzero(np.diff(values, prepend=latest))
-            at.append(values[fresh])
-            begin_s.append(period_s * (count + fresh).astype(np.float64))
+            values = block.samples[channel.name].astype(np.int64)
+            changes = np.flatnonzero(np.diff(values, prepend=latest))
+            operations.append(values[changes])
+            begin_s.append(period_s * (count + changes).astype(np.float64))
             count, latest = count + len(values), int(values[-1]) if len(values) else latest
-        return cls(np.concatenate(at), np.concatenate(begin_s), count * period_s)
+        return cls(np.concatenate(operations), np.concatenate(begin_s), count * period_s)
 
     def ends_s(self, wanted: IntArray) -> FloatArray:
         """Return the instants, s, at which the operations ``wanted``, ascending, end."""
@@ -104,65 +104,67 @@ def _lines(job: Job, wanted: IntArray) -> tuple[IntArray, IntArray]:
 
     A circuit is a pass of an outermost subroutine call.
     """
-    found, circuits = np.zeros((2, len(wanted)), np.int64)
-    first = entered = 0
-    before: Source | None = None
+    lines_found, circuits = np.zeros((2, len(wanted)), np.int64)
+    first = circuits_entered = 0
+    previous_source: Source | None = None
     for item in job.runs():
         if isinstance(item, MoveRun):
             lines, passes = item.line, item.passes
         else:
             lines, passes = np.array([item.source.line]), item.source.passes
         source = Source("", int(lines[0]), passes)
-        entered += begins_circuit(before, source)
-        before = Source("", int(lines[-1]), passes)
-        low, high = np.searchsorted(wanted, (first, first + len(lines)))
-        found[low:high] = lines[wanted[low:high] - first]
-        circuits[low:high] = entered if passes else 0
+        circuits_entered += begins_circuit(previous_source, source)
+        previous_source = Source("", int(lines[-1]), passes)
+        begin, end = np.searchsorted(wanted, (first, first + len(lines)))
+        lines_found[begin:end] = lines[wanted[begin:end] - first]
+        circuits[begin:end] = circuits_entered if passes else 0
         first += len(lines)
-    return found, circuits
+    return lines_found, circuits
 
 
-def _steps(job: Job, begun: _Operations) -> list[dict[str, Any]]:
+def _steps(job: Job, operations: _Operations) -> list[dict[str, Any]]:
     """Return the named steps of a move list with their times."""
-    found: list[dict[str, Any]] = []
+    steps: list[dict[str, Any]] = []
     if job.paced_by != "switchings":
-        return found
+        return steps
     for k, item in enumerate(job):
         if isinstance(item, ToolEvent) and item.name.startswith(_STEP):
-            begin_s = float(begun.ends_s(np.array([k - 1]))[0]) if len(begun.operation) else 0.0
-            found.append(
+            begin_s = (
+                float(operations.ends_s(np.array([k - 1]))[0]) if len(operations.operation) else 0.0
+            )
+            steps.append(
                 {
                     "name": item.name.removeprefix(_STEP),
                     "line": item.source.line,
                     "begin_s": begin_s,
                 }
             )
-    return found
+    return steps
 
 
 def _lanes(recording: Recording) -> list[dict[str, Any]]:
     """Return the inputs and outputs without an axis, and the times at which each changes."""
-    wanted = [
+    switched = [
         c
         for c in recording.channels
         if c.kind in (ChannelKind.INPUT, ChannelKind.OUTPUT) and not c.axis
     ]
     first: dict[str, bool] = {}
-    times: dict[str, list[float]] = {c.name: [] for c in wanted}
+    times: dict[str, list[float]] = {c.name: [] for c in switched}
     latest: dict[str, bool] = {}
     count = 0
-    for block in recording if wanted else ():
-        for c in wanted:
-            on = block.samples[c.name] != 0
-            if not len(on):
+    for block in recording if switched else ():
+        for c in switched:
+            is_on = block.samples[c.name] != 0
+            if not len(is_on):
                 continue
-            before = latest.setdefault(c.name, bool(on[0]))
-            first.setdefault(c.name, before)
-            fresh = np.flatnonzero(np.diff(on, prepend=before))
+            state_before = latest.setdefault(c.name, bool(is_on[0]))
+            first.setdefault(c.name, state_before)
+            changes = np.flatnonzero(np.diff(is_on, prepend=state_before))
             period_s = float(c.clock.period_s) * c.stride
-            times[c.name] += ((count + fresh) * period_s).tolist()
-            latest[c.name] = bool(on[-1])
-        count += len(block.samples[wanted[0].name])
+            times[c.name] += ((count + changes) * period_s).tolist()
+            latest[c.name] = bool(is_on[-1])
+        count += len(block.samples[switched[0].name])
     return [
         {
             "name": c.name,
@@ -170,7 +172,7 @@ def _lanes(recording: Recording) -> list[dict[str, Any]]:
             "on": first.get(c.name, False),
             "changes_s": [round(t, 4) for t in times[c.name]],
         }
-        for c in wanted
+        for c in switched
         if len(times[c.name]) <= _MOST_SWITCHED
     ]
 
@@ -179,30 +181,30 @@ def _turn_rounds(proof: Proof) -> dict[str, Any] | None:
     """Return instants and places at which the axis along the mandrel reverses; None without one."""
     mandrel = mandrel_of(proof.plan.machine)
     recording = proof.recording
-    found = None if mandrel is None else recording.find(ChannelKind.COMMANDED, mandrel.along)
-    if mandrel is None or found is None:
+    channel = None if mandrel is None else recording.find(ChannelKind.COMMANDED, mandrel.along)
+    if mandrel is None or channel is None:
         return None
-    period_s = float(found.clock.period_s) * found.stride
-    at: list[FloatArray] = [np.zeros(0)]
-    begin: list[FloatArray] = [np.zeros(0)]
-    count, way, latest = 0, 0.0, 0.0
+    period_s = float(channel.clock.period_s) * channel.stride
+    turn_places: list[FloatArray] = [np.zeros(0)]
+    turn_times_s: list[FloatArray] = [np.zeros(0)]
+    count, direction, latest = 0, 0.0, 0.0
     for block in recording:
-        places = block.samples[found.name]
+        places = block.samples[channel.name]
         steps = np.sign(np.diff(places, prepend=places[:1] if not count else latest))
         moving = np.flatnonzero(steps)
-        turned = moving[np.diff(steps[moving], prepend=way) * steps[moving] > 1.0]
-        at.append(np.where(turned > 0, places[turned - 1], latest))
-        begin.append(period_s * (count + turned).astype(np.float64))
+        turns = moving[np.diff(steps[moving], prepend=direction) * steps[moving] > 1.0]
+        turn_places.append(np.where(turns > 0, places[turns - 1], latest))
+        turn_times_s.append(period_s * (count + turns).astype(np.float64))
         if len(moving):
-            way = float(steps[moving[-1]])
+            direction = float(steps[moving[-1]])
         count, latest = count + len(places), float(places[-1]) if len(places) else latest
-    places, times_s = np.concatenate(at), np.concatenate(begin)
-    real = _further_apart(places, _LEAST_TURN_M)
-    kept = np.flatnonzero(real)[:: max(1, -(-int(real.sum()) // MOST_POINTS))]
+    places, times_s = np.concatenate(turn_places), np.concatenate(turn_times_s)
+    far_apart = _further_apart(places, _LEAST_TURN_M)
+    shown = np.flatnonzero(far_apart)[:: max(1, -(-int(far_apart.sum()) // MOST_POINTS))]
     return {
         "axis": mandrel.along,
-        "times_s": _listed(times_s[kept]),
-        "at": _listed(places[kept]),
+        "times_s": _listed(times_s[shown]),
+        "at": _listed(places[shown]),
     }
 
 
@@ -211,11 +213,11 @@ def _tension(recording: Recording) -> dict[str, Any] | None:
 
     None if the machine has no spool, or the job has no product.
     """
-    found = recording.find(ChannelKind.TENSION)
-    if found is None:
+    channel = recording.find(ChannelKind.TENSION)
+    if channel is None:
         return None
-    period_s = float(found.clock.period_s) * found.stride
-    values = np.concatenate([np.zeros(0), *(block.samples[found.name] for block in recording)])
+    period_s = float(channel.clock.period_s) * channel.stride
+    values = np.concatenate([np.zeros(0), *(block.samples[channel.name] for block in recording)])
     if not len(values):
         return None
     begins = np.arange(0, len(values), max(1, -(-len(values) // MOST_POINTS)))
@@ -234,15 +236,15 @@ def _further_apart(places: FloatArray, least: float) -> NDArray[np.bool_]:
     Smaller turns come from rounded positions, and are no turns of the carriage.
     """
     kept = np.zeros(len(places), dtype=np.bool_)
-    before = -np.inf
+    last_kept = -np.inf
     for k, place in enumerate(places.tolist()):
-        kept[k] = abs(place - before) > least
-        before = place if kept[k] else before
+        kept[k] = abs(place - last_kept) > least
+        last_kept = place if kept[k] else last_kept
     return kept
 
 
 def _stitches(
-    job: Job, begun: _Operations | None, uses: tuple[str, FloatArray] | None
+    job: Job, operations_begun: _Operations | None, uses: tuple[str, FloatArray] | None
 ) -> dict[str, Any] | None:
     """Return the holes of a seam or a design in order; None for a job without stitches.
 
@@ -253,7 +255,7 @@ def _stitches(
     uses
         Name of the limit, and the (s,) share of it that each stitch uses.
     """
-    places, sewn, blocks, operations = [], [], [], []
+    places, entering_rows, blocks, operations = [], [], [], []
     first = 0
     for item in move_runs(job):
         if not isinstance(item, MoveRun):
@@ -261,31 +263,33 @@ def _stitches(
             continue
         block = item.columns.get("block")
         places.append(item.targets[:, :2])
-        sewn.append(entering(item))
+        entering_rows.append(entering(item))
         blocks.append(np.zeros(len(item)) if block is None else np.where(lacking(block), 0, block))
         operations.append(first + np.arange(len(item)))
         first += len(item)
         if first > _MOST_READ:
             break
-    is_sewn = np.concatenate(sewn) if sewn else np.zeros(0, bool)
+    is_sewn = np.concatenate(entering_rows) if entering_rows else np.zeros(0, bool)
     if not is_sewn.any():
         return None
     operation, place = np.concatenate(operations), np.concatenate(places)
     holes = np.flatnonzero(is_sewn)
-    holes_kept = np.arange(len(holes))[:: max(1, -(-len(holes) // MOST_POINTS))]
-    kept = holes[holes_kept]
-    joined = np.append(False, is_sewn[holes[1:] - 1])  # no travel since the previous hole
-    thread = np.concatenate(blocks).astype(np.int64)[kept]
-    share = None if uses is None or len(uses[1]) != len(holes) else uses[1][holes_kept]
+    shown_numbers = np.arange(len(holes))[:: max(1, -(-len(holes) // MOST_POINTS))]
+    shown = holes[shown_numbers]
+    is_joined = np.append(False, is_sewn[holes[1:] - 1])  # no travel since the previous hole
+    thread = np.concatenate(blocks).astype(np.int64)[shown]
+    share = None if uses is None or len(uses[1]) != len(holes) else uses[1][shown_numbers]
     return {
-        "x": _listed(place[kept, 0]),
-        "y": _listed(place[kept, 1] if place.shape[1] > 1 else np.zeros(len(kept))),
-        "joined": joined[holes_kept].tolist(),
+        "x": _listed(place[shown, 0]),
+        "y": _listed(place[shown, 1] if place.shape[1] > 1 else np.zeros(len(shown))),
+        "joined": is_joined[shown_numbers].tolist(),
         "block": thread.tolist(),
         "threads": [None if one is None else one.rgb for one in job.threads],
-        "number": (holes_kept + 1).tolist(),
+        "number": (shown_numbers + 1).tolist(),
         "count": len(holes),
-        "times_s": [] if begun is None else _listed(begun.ends_s(operation[kept])),
+        "times_s": []
+        if operations_begun is None
+        else _listed(operations_begun.ends_s(operation[shown])),
         "use": [] if share is None else [round(float(u), 4) for u in np.nan_to_num(share)],
         "use_of": "" if uses is None or share is None else uses[0],
     }
@@ -308,11 +312,11 @@ def _uses(proof: Proof) -> tuple[str, FloatArray] | None:
         return ("length error", np.concatenate(shares)) if shares else None
     if not job.threads:
         return None
-    wanted = [limits.get(("stitch_residual", axis)) for axis in proof.plan.axes]
-    if not all(wanted):
+    limits_by_axis = [limits.get(("stitch_residual", axis)) for axis in proof.plan.axes]
+    if not all(limits_by_axis):
         return None
     residual = StitchRun(proof.recording, proof.plan).sewn.residual_m
-    return "swing at the needle", np.nanmax(residual / np.array(wanted, np.float64), axis=1)
+    return "swing at the needle", np.nanmax(residual / np.array(limits_by_axis, np.float64), axis=1)
 
 
 # --- a job before it is calculated ---------------------------------------------------------------
@@ -329,15 +333,15 @@ def preview(folder: Path, program: str, machine: Machine) -> dict[str, Any]:
     with reading_within(folder):
         path = program_path(folder, program)
         job = open_job(path, machine, options_of())
-        at, lines, moves, whole = _programmed(job)
+        positions, lines, moves, whole = _programmed(job)
         source = next((item.source.file for item in job if isinstance(item, Move)), str(path))
         text = _text(path.with_name(Path(source).name))
         stitches, steps = _stitches(job, None, None), _steps(job, _NOT_BEGUN)
-    every = max(1, -(-len(at) // MOST_POINTS))
+    stride = max(1, -(-len(positions) // MOST_POINTS))
     return {
         "program": program,
-        "planned": {name: _listed(at[::every, k]) for k, name in enumerate(job.axes)},
-        "line": lines[::every].tolist(),
+        "planned": {name: _listed(positions[::stride, k]) for k, name in enumerate(job.axes)},
+        "line": lines[::stride].tolist(),
         "moves": moves,
         "whole": whole,
         "paced_by": job.paced_by,
@@ -358,16 +362,16 @@ def _programmed(job: Job) -> tuple[FloatArray, IntArray, int, bool]:
 
     The last value is False if the job has more than ``_MOST_READ`` moves.
     """
-    at, lines, count = [np.array([job.start], np.float64)], [np.zeros(1, np.int64)], 0
+    positions, lines, count = [np.array([job.start], np.float64)], [np.zeros(1, np.int64)], 0
     for item in move_runs(job):
         if not isinstance(item, MoveRun):
             continue
-        at.append(item.targets)
+        positions.append(item.targets)
         lines.append(item.line)
         count += len(item)
         if count >= _MOST_READ:
-            return np.concatenate(at), np.concatenate(lines), count, False
-    return np.concatenate(at), np.concatenate(lines), count, True
+            return np.concatenate(positions), np.concatenate(lines), count, False
+    return np.concatenate(positions), np.concatenate(lines), count, True
 
 
 def _text(path: Path) -> list[str]:

@@ -229,12 +229,12 @@ class KeptRuns:
         future, number, _ = self._preparing
         self._preparing = None
         try:
-            found = future.result()
+            ready = future.result()
         except (ThreadlineError, OSError) as error:
             return number, str(error)
         if self._given_up:
             return number, f"it was not begun: the command {self._given_up!r} came meanwhile"
-        return found
+        return ready
 
     def _prepared(self, head: Mapping[str, Any], stops: int, executor: Operated) -> Prepared:
         """Plan the program again, and compare the plan with the proof, hash by hash."""
@@ -257,10 +257,10 @@ class KeptRuns:
         load = replace(load, notes=(*load.notes, *may.notes))
         rests = run_kind_of(plan.machine).rests_s
         rests_s = rests(plan.commands) if may.hold is Hold.AT_REST else None
-        found = Prepared(number, stops, load, spec, proof, override, inputs, may, rests_s)
+        ready = Prepared(number, stops, load, spec, proof, override, inputs, may, rests_s)
         if "run" not in head:
-            return found
-        return self._rest_of(str(head["run"]), str(head["at"]), found, executor)
+            return ready
+        return self._rest_of(str(head["run"]), str(head["at"]), ready, executor)
 
     def _interventions(self, proof: str, plan: Plan, spec: Spec) -> Interventions:
         """Return the effect of holds and overrides on a proof's work; simulated once per proof."""
@@ -268,16 +268,16 @@ class KeptRuns:
             self._may = proof, interventions_apart(plan, spec)
         return self._may[1]
 
-    def _rest_of(self, run: str, at: str, whole: Prepared, executor: Operated) -> Prepared:
+    def _rest_of(self, run: str, at: str, whole_run: Prepared, executor: Operated) -> Prepared:
         """Return the rest of an interrupted run; its approach is checked."""
         folder, record = unfinished_run(self._store, run)
-        plan = whole.load.plan
+        plan = whole_run.load.plan
         refuse_other_rows(record, plan)
         operation = operation_at(plan, last_executed(trace_of(folder, record)), at)
-        load = executor.rest(whole.load, operation, at_rest=whole.may.hold is Hold.AT_REST)
+        load = executor.rest(whole_run.load, operation, at_rest=whole_run.may.hold is Hold.AT_REST)
         assert load.rest is not None
-        again = continued_by(plan, load.rest)
-        return replace(whole, load=load, again=again, continues=folder.name)
+        continued = continued_by(plan, load.rest)
+        return replace(whole_run, load=load, again=continued, continues=folder.name)
 
     def set_out(self, ready: Prepared, executor: Operated) -> None:
         """Open the run in the store, and begin it.
@@ -288,20 +288,22 @@ class KeptRuns:
             If the machine is not idle, or not where the run begins.
         """
         plan, sent = ready.load.plan, ready.load.sent
-        known = {**self._link, **self._known_of(ready)}
+        run_entries = {**self._link, **self._entries_of(ready)}
         executor.refuse(ready.load)
         for note in ready.load.notes:
             self._said(note, False)
-        run = RunStore(self._store).begin(plan, ready.proof, known, self._speed, ready.inputs, sent)
+        run = RunStore(self._store).begin(
+            plan, ready.proof, run_entries, self._speed, ready.inputs, sent
+        )
         stack = ExitStack()
         stack.enter_context(run)
         rest = ready.load.rest
         self._live = LiveContour.of(plan, ready.spec, self._channels)
-        judged: Sink = run if self._live is None else Also(run, self._live)
-        self._sink = judged
+        measured_sink: Sink = run if self._live is None else Also(run, self._live)
+        self._sink = measured_sink
         self._left_out_s = 0.0
         if rest is not None:
-            self._sink = ContinuedSink(judged, self._machine, rest.left_out, rest.operation)
+            self._sink = ContinuedSink(measured_sink, self._machine, rest.left_out, rest.operation)
             self._left_out_s = rest.left_out * self._period_s
         self._sink.begin(self._channels, self._simulated)
         self._open = (run, ready, stack)
@@ -352,7 +354,7 @@ class KeptRuns:
         with suppress(StoreError):  # a locked index may be free when the verdict is stored
             run.over(ended, why)
         try:
-            verdict, closes = judged_apart(run.trace, ready.load.plan, ready.spec)
+            verdict, closing_text = judged_apart(run.trace, ready.load.plan, ready.spec)
         except RecordingError as error:
             if ready.again is None:
                 raise
@@ -362,30 +364,30 @@ class KeptRuns:
         content = {
             **verdict,
             **self._link,
-            **self._known_of(ready),
+            **self._entries_of(ready),
             "run": run.path.name,
             "trace": str(run.trace),
             "ended": ended,
             "hold_deviation_m": finite(ready.may.hold_deviation_m),
         }
-        before = joined_with(run.trace)
-        content |= {"judged_with": before} if before else {}
-        unsaid = run.judged(content, ended, why)
-        if before:
-            also = f"; {as_one(before)}"
+        earlier_runs = joined_with(run.trace)
+        content |= {"judged_with": earlier_runs} if earlier_runs else {}
+        not_written = run.judged(content, ended, why)
+        if earlier_runs:
+            addition = f"; {as_one(earlier_runs)}"
         else:
-            also = f"; the rest of {ready.continues} alone" if ready.again is not None else ""
-        also += f"; {unsaid}" if unsaid else ""
-        return _Finished(content, closes + also)
+            addition = f"; the rest of {ready.continues} alone" if ready.again is not None else ""
+        addition += f"; {not_written}" if not_written else ""
+        return _Finished(content, closing_text + addition)
 
     @staticmethod
-    def _known_of(ready: Prepared) -> dict[str, str]:
+    def _entries_of(ready: Prepared) -> dict[str, str]:
         """Return the entries for a run's recording and verdict: the override and the origin."""
-        known = {"override": ready.override} if ready.override else {}
+        entries = {"override": ready.override} if ready.override else {}
         if ready.again is not None:
             operation = str(ready.again.rest.operation)
-            known |= {"continues": ready.continues, "from_operation": operation}
-        return known
+            entries |= {"continues": ready.continues, "from_operation": operation}
+        return entries
 
     def progress(self, executor: Operated) -> dict[str, Any] | None:
         """Return the progress of the open run, or the last run's final one; None without a run.
@@ -421,8 +423,8 @@ class KeptRuns:
             return self._left_out_s + float(due_s[0])
         period_s = self._period_s
         held_s = executor.time_s - (self._held_from or 0) * period_s
-        since = 0.0 if self._held_from is None else held_s
-        return self._left_out_s + executor.time_s - self._held * period_s - max(since, 0.0)
+        held_now_s = 0.0 if self._held_from is None else held_s
+        return self._left_out_s + executor.time_s - self._held * period_s - max(held_now_s, 0.0)
 
     def _at_share(self, share: float) -> float:
         """Return the instant of the whole job at a share of its commands, s."""
@@ -462,7 +464,7 @@ def next_hold(rests_s: FloatArray | None, time_s: float) -> dict[str, Any]:
     """
     if rests_s is None:
         return {"hold": "at once", "hold_at_s": None}
-    ahead = rests_s[rests_s[:, 1] - np.maximum(rests_s[:, 0], time_s) >= REST_S - 1e-9]
-    if not len(ahead):
+    rests_ahead_s = rests_s[rests_s[:, 1] - np.maximum(rests_s[:, 0], time_s) >= REST_S - 1e-9]
+    if not len(rests_ahead_s):
         return {"hold": "at the end", "hold_at_s": None}
-    return {"hold": "at a rest", "hold_at_s": round(float(max(ahead[0, 0], time_s)), 3)}
+    return {"hold": "at a rest", "hold_at_s": round(float(max(rests_ahead_s[0, 0], time_s)), 3)}

@@ -26,15 +26,15 @@ _one_at_a_time = asyncio.Semaphore(1)
 
 def kept_runs(store: Path) -> list[dict[str, Any]]:
     """Return an entry for each run in a store, the latest first, at most 200."""
-    kept = opened(store)
-    if kept is None:
+    store_open = opened(store)
+    if store_open is None:
         return []
-    found = []
-    for record in kept.index.runs()[:_MOST_RUNS]:
+    entries = []
+    for record in store_open.index.runs()[:_MOST_RUNS]:
         row = asdict(record)
-        word = verdict_of_run(record, kept.folder / record.run)
-        found.append({**{name: row[name] for name in _TOLD}, "verdict": word})
-    return found
+        word = verdict_of_run(record, store_open.folder / record.run)
+        entries.append({**{name: row[name] for name in _TOLD}, "verdict": word})
+    return entries
 
 
 def trace_file(store: Path, run: str) -> Path:
@@ -45,10 +45,10 @@ def trace_file(store: Path, run: str) -> Path:
     StoreError
         If there is no run with that name.
     """
-    kept = opened(store)
-    if kept is None:
+    store_open = opened(store)
+    if store_open is None:
         raise StoreError(f"there is no run {run[:60]!r}", remedy="Run a program first.")
-    return kept.find(run) / TRACE
+    return store_open.find(run) / TRACE
 
 
 async def in_process(trace: Path, out: Path) -> str:
@@ -60,9 +60,9 @@ async def in_process(trace: Path, out: Path) -> str:
         File of the recording, and the file to write; its suffix sets the format.
     """
     async with _one_at_a_time:
-        status, said, _ = await answer_of(*program_apart(_CHILD), str(trace), str(out))
+        status, output, _ = await answer_of(*program_apart(_CHILD), str(trace), str(out))
     ended = "the trace cannot be read: the reading process has ended" if status else ""
-    return said.decode("utf-8", "replace").strip() or ended
+    return output.decode("utf-8", "replace").strip() or ended
 
 
 async def report_of(store: Path, run: str, out: Path) -> str:
@@ -74,13 +74,13 @@ async def report_of(store: Path, run: str, out: Path) -> str:
         The file ``report.pdf``; the other files of the report go into the same folder.
     """
     async with _one_at_a_time:
-        status, _, said = await answer_of(
+        status, _, error_output = await answer_of(
             sys.executable, "-P", "-m", "threadline", "report", run,
             "--store", str(store), "-o", str(out.parent),
         )  # fmt: skip
     if status in _JUDGED and out.exists():
         return ""
-    lines = said.decode("utf-8", "replace").strip().splitlines()
+    lines = error_output.decode("utf-8", "replace").strip().splitlines()
     return lines[-1].removeprefix("error: ") if lines else "the process that judged it has ended"
 
 

@@ -100,9 +100,9 @@ class LiveContour:
         limits = [one.limit for one in spec.criteria if one.name == _NAME and one.limit]
         if not limits or not any(c.kind is ChannelKind.OPERATION for c in channels):
             return None
-        there = {(c.kind, c.axis) for c in channels}
+        channels_present = {(c.kind, c.axis) for c in channels}
         for kinds in (_LOAD, _ENCODER):
-            if all(any((kind, axis) in there for kind in kinds) for axis in plan.axes):
+            if all(any((kind, axis) in channels_present for kind in kinds) for axis in plan.axes):
                 return cls(plan, min(limits), spec.lag_s, channels, kinds)
         return None
 
@@ -113,14 +113,14 @@ class LiveContour:
         if live is None:
             return
         starts = run_kind_of(plan.machine).start(plan.commands) / plan.machine.counts_per_unit
-        at = dict(zip(plan.machine.axis_names, starts.tolist(), strict=True))
-        still = {
-            channel.name: np.full(_REHEARSED, at.get(channel.axis, 0.0))
+        start_positions = dict(zip(plan.machine.axis_names, starts.tolist(), strict=True))
+        samples_at_rest = {
+            channel.name: np.full(_REHEARSED, start_positions.get(channel.axis, 0.0))
             if channel.kind in (*_LOAD, *_ENCODER, ChannelKind.COMMANDED)
             else np.zeros(_REHEARSED)
             for channel in channels
         }
-        live.block(RecordingBlock(first_tick={channels[0].clock.name: 0}, samples=still))
+        live.block(RecordingBlock(first_tick={channels[0].clock.name: 0}, samples=samples_at_rest))
         live.close()
 
     # --- a sink ----------------------------------------------------------------------------
@@ -133,11 +133,11 @@ class LiveContour:
 
     def block(self, block: RecordingBlock) -> None:
         """Take samples; the thread wakes once per piece and measures it."""
-        fresh = max(len(block.samples[name]) for name in self._names)
-        if not fresh:
+        new_count = max(len(block.samples[name]) for name in self._names)
+        if not new_count:
             return
         self._held.append(block)
-        self._count += fresh
+        self._count += new_count
         if self._count >= self._piece:
             self._hand_over()
 
@@ -188,11 +188,11 @@ class LiveContour:
     def _take(self, block: Block) -> None:
         if self._kinds is _ENCODER:
             block = replace(block, actual=block.own)
-        squared: FloatArray = block.nearest_on_surface[0][:, 0]
-        if not np.isfinite(squared).all():
+        distances2_m2: FloatArray = block.nearest_on_surface[0][:, 0]
+        if not np.isfinite(distances2_m2).all():
             return
-        k = int(squared.argmax())
-        largest_m = float(np.sqrt(squared[k]))
+        k = int(distances2_m2.argmax())
+        largest_m = float(np.sqrt(distances2_m2[k]))
         with self._lock:
             seen = self._seen
             seen.fresh_m = max(seen.fresh_m, largest_m)

@@ -80,8 +80,8 @@ class MoveSequence:
         now_s
             The time.
         """
-        whole = not self._begun or ended == (RunEnd.COMPLETED, "")
-        if stops != self._stops or not whole or self.lease_s(now_s) <= 0.0:
+        completed = not self._begun or ended == (RunEnd.COMPLETED, "")
+        if stops != self._stops or not completed or self.lease_s(now_s) <= 0.0:
             self.clear()
         if not self._queued:
             return None
@@ -359,11 +359,11 @@ class Owner:
         if executor.state is not State.IDLE:
             self._moves.clear()
             return
-        way = self._moves.next_one(self._stops, executor.ended, now_s)
-        if way is None:
+        move = self._moves.next_one(self._stops, executor.ended, now_s)
+        if move is None:
             return
         try:
-            executor.move(*way, self._moves.lease_s(now_s))
+            executor.move(*move, self._moves.lease_s(now_s))
         except CommandError as error:
             self._moves.clear()
             self._say("said", text=str(error), wrong=True)
@@ -443,10 +443,10 @@ class BoardReports:
             rows = [asdict(one) for one in board.settings]
             yield "board", {"firmware": board.identity, "settings": rows}
         self._waiting += board.take()
-        of_run = all(one.kind == "program" for one in self._waiting)
-        if not self._waiting or (of_run and now_s - self._sent_s < SAID_S):
+        program_only = all(one.kind == "program" for one in self._waiting)
+        if not self._waiting or (program_only and now_s - self._sent_s < SAID_S):
             return
-        left_out = max(len(self._waiting) - _MOST_SAID, 0) if of_run else 0
+        left_out = max(len(self._waiting) - _MOST_SAID, 0) if program_only else 0
         lines = [asdict(one) for one in self._waiting[left_out:]]
         self._waiting, self._sent_s = [], now_s
         yield "console", {"lines": lines, "left_out": left_out}

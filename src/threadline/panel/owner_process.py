@@ -71,15 +71,15 @@ class OwnerLink:
         """
         if self._beginning is not None:
             return  # an owner is starting
-        before = self._leave()
+        previous_process = self._leave()
         self._heard, self.now, self.gone = heard, {}, ""
-        if before is None:
+        if previous_process is None:
             self._begin()
         else:
-            self._beginning = asyncio.create_task(self._begin_after(before))
+            self._beginning = asyncio.create_task(self._begin_after(previous_process))
 
-    async def _begin_after(self, before: subprocess.Popen[bytes]) -> None:
-        await asyncio.to_thread(_wait_for, before)
+    async def _begin_after(self, previous_process: subprocess.Popen[bytes]) -> None:
+        await asyncio.to_thread(_wait_for, previous_process)
         self._beginning = None
         self._begin()
 
@@ -172,9 +172,9 @@ def start_owner(owned: Owned) -> tuple[subprocess.Popen[bytes], Connection]:
 def owner_main() -> None:
     """Serve as the owner of the machine that the parent process names through a pipe."""
     owned: Owned = pickle.load(sys.stdin.buffer)  # noqa: S301  # written by the parent process
-    end = socket.socket(fileno=int(sys.argv[1]))
-    end.settimeout(SEND_S)
-    own(Connection(end), owned)
+    server_socket = socket.socket(fileno=int(sys.argv[1]))
+    server_socket.settimeout(SEND_S)
+    own(Connection(server_socket), owned)
 
 
 def own(server: Connection, owned: Owned) -> None:

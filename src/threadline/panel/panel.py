@@ -121,8 +121,14 @@ class Panel:
             return "the machine was not reached yet"
         owner.send("stop")
         while not owner.gone and clock_s() < since_s + _STANDS_S:
-            known = owner.heard_s > since_s + 2.0 * TELL_S  # the report is newer than the stop
-            if known and not owner.now["moving"] and State(owner.now["state"]) not in _MOVING:
+            has_reported = (
+                owner.heard_s > since_s + 2.0 * TELL_S
+            )  # the report is newer than the stop
+            if (
+                has_reported
+                and not owner.now["moving"]
+                and State(owner.now["state"]) not in _MOVING
+            ):
                 return end_words(owner.now)
             owner.send("alive")
             await asyncio.sleep(BEAT_S)
@@ -182,8 +188,8 @@ class Panel:
             return
         self._stops.append((who, number))
         client = self._clients.get(who)
-        by = "a request" if client is None else f"{client.name} ({client.number})"
-        self._tell_all(say.Said(text=f"stopped by {by}"))
+        asked_by = "a request" if client is None else f"{client.name} ({client.number})"
+        self._tell_all(say.Said(text=f"stopped by {asked_by}"))
 
     def may_change(self, lease: str) -> bool:
         """Return whether a lease is the one in force, and renew it."""
@@ -219,8 +225,8 @@ class Panel:
                 f"the state that you have seen is older than {SEEN_S:g} s", remedy="Look again."
             )
         if command.what not in {*self.allowed(), "renew", "let-go"}:
-            runs = command.what == "calculate" or _CAUSES.get(command.what) is Cause.START
-            busy = self.busy() if runs else ""
+            starts_work = command.what == "calculate" or _CAUSES.get(command.what) is Cause.START
+            busy = self.busy() if starts_work else ""
             lost = self._owner.gone or self._owner.now.get("lost", False)
             raise CommandError(
                 f"{command.what!r} is not possible now: the machine is {self.state().state}"
@@ -258,13 +264,16 @@ class Panel:
             case say.Jog():
                 k = self._axis(command.axis)
                 tick_s = float(machine.tick_clock.period_s)
-                most = manual_feed(machine)[k] / machine.counts_per_unit[k] / tick_s
+                manual_feeds = manual_feed(machine)[k] / machine.counts_per_unit[k] / tick_s
                 owner.send(
-                    "jog", number=number, axis=command.axis, velocity=command.share * float(most)
+                    "jog",
+                    number=number,
+                    axis=command.axis,
+                    velocity=command.share * float(manual_feeds),
                 )
             case say.Step():
-                by = round(command.by * machine.counts_per_unit[self._axis(command.axis)])
-                owner.send("step", number=number, axis=command.axis, by=by)
+                step_counts = round(command.by * machine.counts_per_unit[self._axis(command.axis)])
+                owner.send("step", number=number, axis=command.axis, by=step_counts)
             case say.ZeroAxis():
                 self._axis(command.axis)
                 owner.send("zero-axis", number=number, to=[[command.axis, 0]])
@@ -283,8 +292,8 @@ class Panel:
                 owner.send("zero", number=number, to=[[name, 0] for name in self._in_order()])
             case say.Simple(what="approach"):
                 starts = dict(zip(names, self.calculation.starts, strict=True))
-                to = [[name, starts[name]] for name in self._in_order()]
-                owner.send("approach", number=number, to=to)
+                targets = [[name, starts[name]] for name in self._in_order()]
+                owner.send("approach", number=number, to=targets)
             case say.Simple():
                 owner.send(command.what, number=number)
             case _:
@@ -310,7 +319,7 @@ class Panel:
             return []
         state, stands = State(now["state"]), not now["moving"]
         free = stands and not self.busy()
-        found = [
+        commands = [
             what
             for what, cause in _CAUSES.items()
             if (state, cause) in TRANSITIONS
@@ -318,23 +327,23 @@ class Panel:
             and (free or cause is not Cause.START)
         ]
         if not run_kind_of(self.machine).by_hand:
-            found = [what for what in found if _CAUSES[what] is not Cause.JOG]
+            commands = [what for what in commands if _CAUSES[what] is not Cause.JOG]
         if state in MAY_OVERRIDE and not now["no_override"]:
-            found.append("override-feed")
+            commands.append("override-feed")
         if self._far_end.console and stands and state not in _MOVING and not self.busy():
-            found.append("console")
+            commands.append("console")
         if calculation.proven is None:
-            found = [what for what in found if what not in _OF_PROVEN]
+            commands = [what for what in commands if what not in _OF_PROVEN]
         if now["rest"] is None:
-            found = [what for what in found if what not in _OF_REST]
-        found = [what for what in found if what not in self._far_end.lacks]
+            commands = [what for what in commands if what not in _OF_REST]
+        commands = [what for what in commands if what not in self._far_end.lacks]
         if now["lost"]:
-            found.clear()  # no owner can execute a command
+            commands.clear()  # no owner can execute a command
         if stands and (state in _BROKEN or now["lost"]):
-            found.append("reconnect")
+            commands.append("reconnect")
         if calculation.share is not None:
-            return [*found, "cancel"]
-        return [*found, *(["calculate"] if free else [])]
+            return [*commands, "cancel"]
+        return [*commands, *(["calculate"] if free else [])]
 
     # --- what is shown ---------------------------------------------------------------------
 
@@ -430,9 +439,9 @@ class Panel:
             self._granted(self._control.pass_if_due(clock_s()))
             self._seq += 1
             state = self.state()
-            lasting = state.model_dump(exclude=_PASSING)
-            if lasting != shown or self._seq % _REST_BEATS == 0:
-                shown, text = lasting, state.model_dump_json()
+            compared = state.model_dump(exclude=_PASSING)
+            if compared != shown or self._seq % _REST_BEATS == 0:
+                shown, text = compared, state.model_dump_json()
                 for client in self._clients.values():
                     client.show(self._seq, text)
             await asyncio.sleep(BEAT_S)

@@ -75,13 +75,13 @@ def by_priority(
     question = Question(
         job=job, machine=machine, spec=spec, options=options, progress=share, trials=trials
     )
-    found = fastest_job(question).best
-    if found.found.best is None:
+    rung = fastest_job(question).best
+    if rung.found.best is None:
         raise OptionError(
-            f"{job.name} is out of specification at every feed: {found.found.limited_by}",
+            f"{job.name} is out of specification at every feed: {rung.found.limited_by}",
             remedy="Calculate it as programmed, and look at what fails.",
         )
-    return {"feed": f"{found.found.best!r} m/s", "limits": f"{found.share * 100.0!r} %"}
+    return {"feed": f"{rung.found.best!r} m/s", "limits": f"{rung.share * 100.0!r} %"}
 
 
 MOST_UPLOAD = 8 << 20
@@ -114,30 +114,38 @@ def program_names(folder: Path, machine: Machine) -> list[str]:
     The suffix gives the format; if other files use it too, the content decides whether it is a job.
     The errors of a job appear when it is calculated.
     """
-    found = sorted(
+    names = sorted(
         file.name
         for file in folder.iterdir()
         if _NAME.fullmatch(file.name)
-        and _is_done(file.name.lower(), machine)
+        and _is_taken(file.name.lower(), machine)
         and file.is_file()
         and not file.is_symlink()
         and _may_be_job(file)
     )
-    return found[:_MOST_FILES]
+    return names[:_MOST_FILES]
 
 
-def _is_done(name: str, machine: Machine) -> bool:
+def _is_taken(name: str, machine: Machine) -> bool:
     """Return whether a machine accepts the format of a file name's suffix.
 
     A drawing alone is no seam: the seam file adds stitch length and speed.
     """
-    known = next((one for one in FORMATS if name.endswith(one.extensions)), None)
-    if known is None or known.name not in kind_of(machine).takes or name.endswith(_BESIDE):
+    job_format = next(
+        (candidate for candidate in FORMATS if name.endswith(candidate.extensions)), None
+    )
+    if (
+        job_format is None
+        or job_format.name not in kind_of(machine).takes
+        or name.endswith(_BESIDE)
+    ):
         return False
     axes = machine.axes
-    if known.name == _WINDING:
+    if job_format.name == _WINDING:
         return machine.tool is not None and machine.tool.kind == "eye"
-    return known.name != _SEAM or all(a in axes and axes[a].kind == "linear" for a in SEAM_AXES)
+    return job_format.name != _SEAM or all(
+        a in axes and axes[a].kind == "linear" for a in SEAM_AXES
+    )
 
 
 def _may_be_job(file: Path) -> bool:
@@ -241,7 +249,7 @@ def words_of(content: Mapping[str, Any], program: Path | None = None) -> Options
     InputError
         If an option cannot be read, or the winding.
     """
-    words = [one.word for one in options_for("panel", Door.PANEL, [Group.PLAN])]
+    words = [entry.word for entry in options_for("panel", Door.PANEL, [Group.PLAN])]
     given = {word: content[word] for word in words}
     if program is not None and given["product"] is None:
         given["product"] = own_product(program)

@@ -34,21 +34,21 @@ def interventions_apart(plan: Plan, spec: Spec) -> Interventions:
     CommandError
         If the other process cannot be started, ends without an answer, or cannot simulate them.
     """
-    found = _asked(_TRY, (plan, spec), "the process that simulates holds and overrides")
-    if isinstance(found, str):
-        raise CommandError(f"holds and overrides of the run cannot be simulated: {found}")
-    assert isinstance(found, Interventions)
-    return found
+    answer = _asked(_TRY, (plan, spec), "the process that simulates holds and overrides")
+    if isinstance(answer, str):
+        raise CommandError(f"holds and overrides of the run cannot be simulated: {answer}")
+    assert isinstance(answer, Interventions)
+    return answer
 
 
 def interventions_main() -> None:
     """Simulate holds and overrides of the plan on standard input; write their effect."""
     plan, spec = pickle.load(sys.stdin.buffer)  # noqa: S301  # written by the parent process
     try:
-        found: Interventions | str = interventions(plan, spec)
+        answer: Interventions | str = interventions(plan, spec)
     except ThreadlineError as error:
-        found = error.message
-    sys.stdout.buffer.write(pickle.dumps(found))
+        answer = error.message
+    sys.stdout.buffer.write(pickle.dumps(answer))
 
 
 def judged_apart(trace: Path, plan: Plan, spec: Spec) -> tuple[Mapping[str, Any], str]:
@@ -61,12 +61,12 @@ def judged_apart(trace: Path, plan: Plan, spec: Spec) -> tuple[Mapping[str, Any]
     CommandError
         If the other process cannot be started, or ends without an answer.
     """
-    found: tuple[Mapping[str, Any], str] | str = _asked(
+    answer: tuple[Mapping[str, Any], str] | str = _asked(
         _JUDGE, (trace.absolute(), plan, spec), "the process that judges"
     )
-    if isinstance(found, str):
-        raise RecordingError(found)
-    return found
+    if isinstance(answer, str):
+        raise RecordingError(answer)
+    return answer
 
 
 def judge_main() -> None:
@@ -75,25 +75,28 @@ def judge_main() -> None:
     trace, plan, spec = pickle.load(sys.stdin.buffer)  # noqa: S301  # written by the parent process
     try:
         verdict = judge([whole_recording(trace)], plan, spec)
-        found: tuple[Mapping[str, Any], str] | str = (verdict_json(verdict, plan), closing(verdict))
+        answer: tuple[Mapping[str, Any], str] | str = (
+            verdict_json(verdict, plan),
+            closing(verdict),
+        )
     except InputError as error:
-        found = error.message
-    sys.stdout.buffer.write(pickle.dumps(found))
+        answer = error.message
+    sys.stdout.buffer.write(pickle.dumps(answer))
 
 
-def _asked(child: str, given: object, who: str) -> Any:
-    """Send an object to a Python process, and return its answer; ``who`` names it in errors."""
+def _asked(child: str, request: object, name: str) -> Any:
+    """Send an object to a Python process, and return its answer; ``name`` names it in errors."""
     try:
-        done = subprocess.run(  # noqa: S603  # this interpreter with fixed arguments
+        process = subprocess.run(  # noqa: S603  # this interpreter with fixed arguments
             program_apart(child),
-            input=pickle.dumps(given),
+            input=pickle.dumps(request),
             stdout=subprocess.PIPE,
             env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
             start_new_session=True,
             check=False,
         )
     except OSError as error:
-        raise CommandError(f"{who} cannot be started: {error.strerror or error}") from error
-    if done.returncode:
-        raise CommandError(f"{who} has ended without an answer")
-    return pickle.loads(done.stdout)  # noqa: S301  # written by the child process
+        raise CommandError(f"{name} cannot be started: {error.strerror or error}") from error
+    if process.returncode:
+        raise CommandError(f"{name} has ended without an answer")
+    return pickle.loads(process.stdout)  # noqa: S301  # written by the child process

@@ -153,8 +153,8 @@ def _add_requests(app: FastAPI, panel: Panel, folder: Path) -> None:
     async def stop(request: Request) -> PlainTextResponse:
         # On the event loop: it needs no free thread.
         who, _, number = request.headers.get("x-stop", "").partition("/")
-        named = bool(_NUMBERS.fullmatch(who) and _NUMBERS.fullmatch(number))
-        panel.stop(int(who) if named else 0, int(number) if named else None)
+        is_numbered = bool(_NUMBERS.fullmatch(who) and _NUMBERS.fullmatch(number))
+        panel.stop(int(who) if is_numbered else 0, int(number) if is_numbered else None)
         return PlainTextResponse("", 204)
 
 
@@ -196,10 +196,10 @@ def _add_runs(app: FastAPI, store: Path) -> None:
         except StoreError as error:
             return PlainTextResponse(f"{error}\n", 404)
         out = temporary("pdf").with_name("report.pdf")
-        gone = BackgroundTask(shutil.rmtree, out.parent)
-        if why := await report_of(store, run, out):
-            return PlainTextResponse(f"{in_page_words(why)}\n", 422, background=gone)
-        return FileResponse(out, background=gone)
+        removal = BackgroundTask(shutil.rmtree, out.parent)
+        if failure := await report_of(store, run, out):
+            return PlainTextResponse(f"{in_page_words(failure)}\n", 422, background=removal)
+        return FileResponse(out, background=removal)
 
 
 async def _read_trace(store: Path, run: str, ending: str) -> Response:
@@ -209,10 +209,10 @@ async def _read_trace(store: Path, run: str, ending: str) -> Response:
     except StoreError as error:
         return PlainTextResponse(f"{error}\n", 404)
     out = temporary(ending)
-    gone = BackgroundTask(shutil.rmtree, out.parent)
-    if why := await in_process(file, out):
-        return PlainTextResponse(f"{why}\n", 422, background=gone)
-    return FileResponse(out, background=gone)
+    removal = BackgroundTask(shutil.rmtree, out.parent)
+    if failure := await in_process(file, out):
+        return PlainTextResponse(f"{failure}\n", 422, background=removal)
+    return FileResponse(out, background=removal)
 
 
 def _add_live(app: FastAPI, panel: Panel, admission: Admission) -> None:

@@ -38,28 +38,28 @@ def thinned(recording: Recording) -> dict[str, Any]:
     for block in recording:
         for name, parts in columns.items():
             parts.append(block.samples[name])
-    whole = {name: np.concatenate(parts) for name, parts in columns.items()}
+    samples = {name: np.concatenate(parts) for name, parts in columns.items()}
     first = next(iter(pairs.values()))[0]
-    at = {name: (whole[c.name], whole[a.name]) for name, (c, a) in pairs.items()}
-    count = min(len(column) for column in whole.values())
-    kept = _kept(np.stack([(a - c)[:count] for c, a in at.values()]))
+    positions = {name: (samples[c.name], samples[a.name]) for name, (c, a) in pairs.items()}
+    count = min(len(column) for column in samples.values())
+    shown = _shown_columns(np.stack([(a - c)[:count] for c, a in positions.values()]))
     period_s = float(first.clock.period_s) * first.stride
     return {
-        "times_s": [round(float(k) * period_s, 6) for k in kept],
+        "times_s": [round(float(k) * period_s, 6) for k in shown],
         "axes": {
             name: {
-                "commanded": _rounded(c[kept]),
-                "actual": _rounded(a[kept]),
+                "commanded": _rounded(c[shown]),
+                "actual": _rounded(a[shown]),
                 "measured": pairs[name][0] is not pairs[name][1],
             }
-            for name, (c, a) in at.items()
+            for name, (c, a) in positions.items()
         },
     }
 
 
 def _pairs(recording: Recording) -> dict[str, tuple[Channel, Channel]]:
     """Return the channels of commanded and actual position, by axis."""
-    found: dict[str, tuple[Channel, Channel]] = {}
+    by_axis: dict[str, tuple[Channel, Channel]] = {}
     for channel in recording.channels:
         if channel.kind is ChannelKind.COMMANDED and channel.axis:
             actual = [
@@ -69,20 +69,20 @@ def _pairs(recording: Recording) -> dict[str, tuple[Channel, Channel]]:
                 if (other.kind, other.axis) == (kind, channel.axis)
                 and (other.clock.period_s, other.stride) == (channel.clock.period_s, channel.stride)
             ]
-            found[channel.axis] = (channel, actual[0] if actual else channel)
-    return found
+            by_axis[channel.axis] = (channel, actual[0] if actual else channel)
+    return by_axis
 
 
-def _kept(deviations: FloatArray) -> IntArray:
+def _shown_columns(deviations: FloatArray) -> IntArray:
     """Return the shown columns of (axes, n) ``deviations``, in order."""
     count = deviations.shape[1]
     starts = np.unique(np.linspace(0, count, min(STRETCHES, count) + 1, dtype=np.int64)[:-1])
-    picked = [
+    shown = [
         begin + np.array([part.argmin(), part.argmax()])
         for row in deviations
         for begin, part in zip(starts, np.split(row, starts[1:]), strict=True)
     ]
-    return np.unique(np.concatenate([*picked, [0, count - 1]]).astype(np.int64))
+    return np.unique(np.concatenate([*shown, [0, count - 1]]).astype(np.int64))
 
 
 def _rounded(values: FloatArray) -> list[float]:

@@ -44,18 +44,20 @@ def positions(
         The machine, and its (axes,) commanded position in counts, for channels not reported yet;
         None if it is not homed.
     """
-    found: dict[str, list[float | None]] = {name: [None, None, None] for name in machine.axes}
+    by_axis: dict[str, list[float | None]] = {name: [None, None, None] for name in machine.axes}
     if stands is not None:
-        for name, at in zip(machine.axes, (stands / machine.counts_per_unit).tolist(), strict=True):
-            found[name][0] = at
+        for name, position in zip(
+            machine.axes, (stands / machine.counts_per_unit).tolist(), strict=True
+        ):
+            by_axis[name][0] = position
     for channel in channels:
         if stands is None and channel.axis in machine.axes:
             continue
         if channel.kind in _PLACES and channel.axis:
-            row = found.setdefault(channel.axis, [None, None, None])
+            row = by_axis.setdefault(channel.axis, [None, None, None])
             column = _PLACES.index(channel.kind)
             row[column] = latest.get(channel.name, row[column])
-    return found
+    return by_axis
 
 
 def signals(channels: Iterable[Channel], latest: Mapping[str, float]) -> dict[str, float]:

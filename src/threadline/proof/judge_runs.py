@@ -88,14 +88,14 @@ class SerialJudge:
         """Yield the results of each batch; a batch has parts and products as in ``judged``."""
         sizes: deque[int] = deque()
 
-        def noted() -> Iterator[tuple[FloatArray, FloatArray | None]]:
+        def noting_sizes() -> Iterator[tuple[FloatArray, FloatArray | None]]:
             for parts, products in batches:
                 sizes.append(len(parts))
                 yield parts, products
 
-        found = self._answers(noted(), done, here=False)
-        for first in found:
-            yield EachRun.joined([first, *islice(found, sizes.popleft() - 1)])
+        results = self._answers(noting_sizes(), done, here=False)
+        for first_result in results:
+            yield EachRun.joined([first_result, *islice(results, sizes.popleft() - 1)])
 
     def _answers(
         self,
@@ -113,12 +113,12 @@ class SerialJudge:
     def answer(self, item: _Alone, done: Done | None = None) -> EachRun:
         """Return the result of one machine with its product."""
         try:
-            found = self._one(*item)
+            result = self._one(*item)
         except (MachineError, RecordingError):
-            found = self._own.without_answer()
+            result = self._own.without_answer()
         if done is not None:
             done(1)
-        return found
+        return result
 
     def machines(self, _item: _Alone) -> int:
         """Return 1: machines are judged one by one."""
@@ -313,26 +313,26 @@ class RunsJudge:
         """
         values = Values.of(self._machine, variants)  # refuses a path that is not a number
         machines = Variants(numbers=values.replaced, phases=phases, products=products)
-        places = list(self._places(machines, whole=True))
-        items = (machines.taken(index) for index in places)
-        found = answers(self, items, done, threads=self._threads, here=len(places) == 1)
-        return _in_order(list(found), places)
+        part_indices = list(self._places(machines, whole=True))
+        items = (machines.taken(index) for index in part_indices)
+        results = answers(self, items, done, threads=self._threads, here=len(part_indices) == 1)
+        return _in_order(list(results), part_indices)
 
     def judged_each(
         self, batches: Iterable[Variants], done: Done | None = None
     ) -> Iterator[EachRun]:
         """Yield the result of each batch; the next batches begin before the first has ended."""
-        waiting: deque[list[IntArray]] = deque()
+        indices_waiting: deque[list[IntArray]] = deque()
 
         def items() -> Iterator[Variants]:
             for batch in batches:
-                waiting.append(list(self._places(batch, whole=False)))
-                yield from (batch.taken(index) for index in waiting[-1])
+                indices_waiting.append(list(self._places(batch, whole=False)))
+                yield from (batch.taken(index) for index in indices_waiting[-1])
 
-        found = answers(self, items(), done, threads=self._threads)
-        for first in found:
-            places = waiting.popleft()
-            yield _in_order([first, *islice(found, len(places) - 1)], places)
+        results = answers(self, items(), done, threads=self._threads)
+        for first_result in results:
+            part_indices = indices_waiting.popleft()
+            yield _in_order([first_result, *islice(results, len(part_indices) - 1)], part_indices)
 
     def answer(self, item: Variants, done: Done | None = None) -> EachRun:
         """Return the results of one part, whose variants all have the same dead times."""
@@ -364,10 +364,10 @@ class RunsJudge:
     @cached_property
     def _own(self) -> EachRun:
         """Result of the plan's own machine."""
-        own = simulate_runs(
+        own_run = simulate_runs(
             self._table, Values.of(self.plan.machine), settle_s=self._settle_s, kinds=self._kinds
         )
-        return self.judge.each(own)
+        return self.judge.each(own_run)
 
     def _places(self, variants: Variants, *, whole: bool) -> Iterator[IntArray]:
         """Yield the indices of each part of the variants; dead times are equal within a part.
@@ -378,14 +378,14 @@ class RunsJudge:
             Whether no other variants are judged at the same time. The variants are then divided so
             that every worker gets a part.
         """
-        wound = variants.products is not None
-        at_once = self._wound_at_once(variants.count) if wound else AT_ONCE
-        elsewhere = workers()
-        if whole and elsewhere is not None and self._rates:
-            at_once = min(at_once, max(-(-variants.count // elsewhere.cores), 1))
-        for places in Values.of(self._machine, variants.numbers).places_by_delay():
-            for at in range(0, len(places), at_once):
-                yield places[at : at + at_once]
+        has_products = variants.products is not None
+        at_once = self._wound_at_once(variants.count) if has_products else AT_ONCE
+        remote_workers = workers()
+        if whole and remote_workers is not None and self._rates:
+            at_once = min(at_once, max(-(-variants.count // remote_workers.cores), 1))
+        for same_delay in Values.of(self._machine, variants.numbers).places_by_delay():
+            for begin in range(0, len(same_delay), at_once):
+                yield same_delay[begin : begin + at_once]
 
     def _part(
         self,
@@ -405,42 +405,42 @@ class RunsJudge:
             )
             if products is not None:
                 recording = with_products(recording, products)
-            watched = replace(recording, blocks=_Told(recording.blocks, so_far))
-            whole = self.judge.each(watched)
+            reported = replace(recording, blocks=_Told(recording.blocks, so_far))
+            result = self.judge.each(reported)
             so_far.tell(1.0)
-            return whole
+            return result
         except MachineError:
             # One variant that cannot be simulated ends the simulation of its whole part: halve the
             # part until this variant is alone.
             if values.count == 1:
                 so_far.tell(1.0)
                 return self._own.without_answer()
-            half = values.count // 2
+            half_count = values.count // 2
             so_far.tell(0.0)
-            found = [
+            halves = [
                 self._part(
                     values.slice(rows.start, rows.stop),
                     None if phases is None else phases[rows],
                     None if products is None else products[rows],
                     _SoFar(rows.stop - rows.start, self.plan, so_far.done),
                 )
-                for rows in (slice(0, half), slice(half, values.count))
+                for rows in (slice(0, half_count), slice(half_count, values.count))
             ]
-            return EachRun.joined(found)
+            return EachRun.joined(halves)
 
 
 def _runs_judge(
     plan: Plan, spec: Spec, machine: Machine, settle_s: float, rates: tuple[float, ...]
 ) -> RunsJudge:
     """Return the copy of a judge for another process, in which one thread judges a part."""
-    found = RunsJudge(plan, spec, machine, settle_s=settle_s, threads=1)
-    found._rates = rates
-    return found
+    judge = RunsJudge(plan, spec, machine, settle_s=settle_s, threads=1)
+    judge._rates = rates
+    return judge
 
 
-def _in_order(found: list[EachRun], places: list[IntArray]) -> EachRun:
-    """Return the results of parts at their ``places``, in the order of the variants."""
-    return EachRun.joined(found).taken(np.argsort(np.concatenate(places), kind="stable"))
+def _in_order(results: list[EachRun], part_indices: list[IntArray]) -> EachRun:
+    """Return the results of parts at their ``part_indices``, in the order of the variants."""
+    return EachRun.joined(results).taken(np.argsort(np.concatenate(part_indices), kind="stable"))
 
 
 class _SoFar:

@@ -172,8 +172,8 @@ def parse_reserve(text: str) -> Reserve:
     OptionError
         If a share is below 0 % or above ``MOST_RESERVE``.
     """
-    both = _RESERVED.fullmatch(text)
-    parts = (text, text) if both is None else both.groups()
+    match = _RESERVED.fullmatch(text)
+    parts = (text, text) if match is None else match.groups()
     shares = [parse_number("reserve", part.strip(), "", "2 %") for part in parts]
     if not all(0.0 <= share <= MOST_RESERVE for share in shares):
         raise OptionError(
@@ -206,18 +206,18 @@ def parse_narrow(text: str) -> Narrow:
     OptionError
         If a line is not a whole number above 0 or occurs twice, or a tolerance is not positive.
     """
-    found: dict[int, float] = {}
+    widths_m: dict[int, float] = {}
     for part in text.split(","):
         line, colon, width = part.partition(":")
-        if not colon or not line.strip().isdecimal() or int(line) in found or int(line) < 1:
+        if not colon or not line.strip().isdecimal() or int(line) in widths_m or int(line) < 1:
             raise OptionError(
                 f"narrow {text!r}: {part.strip()!r} is not a line with its tolerance, or stands "
                 "twice",
                 remedy='Write lines of the program with their tolerances: "13: 0.38 mm, 22: 0.4 mm"'
                 ".",
             )
-        found[int(line)] = parse_tolerance_m(width.strip())
-    return tuple(sorted(found.items()))
+        widths_m[int(line)] = parse_tolerance_m(width.strip())
+    return tuple(sorted(widths_m.items()))
 
 
 def narrow_words(narrow: Narrow) -> str | None:

@@ -206,8 +206,8 @@ class Options:
         """
         if self.interpolation != DEFAULT_INTERPOLATION:
             return self
-        own = machine.planner is not None and self.following is Following.MOTOR
-        return replace(self, interpolation=FIRMWARE if own else AUTO)
+        by_firmware = machine.planner is not None and self.following is Following.MOTOR
+        return replace(self, interpolation=FIRMWARE if by_firmware else AUTO)
 
     @property
     def own_feeds(self) -> bool:
@@ -291,24 +291,24 @@ def options_of(
         if word not in _PLANNING:
             raise OptionError(f"unknown option {word!r}", remedy=nearest(word, tuple(_PLANNING)))
     words |= {"interpolation": interpolation, "feed": feed, "tolerance": tolerance}
-    given: dict[str, Word] = {word: one.default for word, one in _PLANNING.items()}
+    given: dict[str, Word] = {word: entry.default for word, entry in _PLANNING.items()}
     given |= {word: value for word, value in words.items() if value is not None}
     given["interpolation"] = _interpolation(given)
     _refuse_pairs(given)
-    read = {
-        one.attribute: one.parse(given[word])
-        for word, one in _PLANNING.items()
-        if one.parse is not None and given[word] is not None
+    values = {
+        entry.attribute: entry.parse(given[word])
+        for word, entry in _PLANNING.items()
+        if entry.parse is not None and given[word] is not None
     }
     if given["feed_forward"]:
-        width = given["smoothing"]
-        if width is None or given["robust"] is not None:
+        smoothing = given["smoothing"]
+        if smoothing is None or given["robust"] is not None:
             of_optimal = given["interpolation"] == OPTIMAL
-            width = OPTIMAL_FEED_FORWARD if of_optimal else FEED_FORWARD
-        read["feed_forward_s"] = parse_width_s(str(width))
+            smoothing = OPTIMAL_FEED_FORWARD if of_optimal else FEED_FORWARD
+        values["feed_forward_s"] = parse_width_s(str(smoothing))
     if given["smoothing"] is not None and given["robust"] is not None:
-        read["change_s"] = parse_width_s(str(given["smoothing"]))
-    return Options(**read)
+        values["change_s"] = parse_width_s(str(given["smoothing"]))
+    return Options(**values)
 
 
 _PLANNING = {one.word: one for one in TABLE if one.group is Group.PLAN}
@@ -341,15 +341,15 @@ def _refuse_pairs(given: Mapping[str, Word]) -> None:
     OptionError
         Names the pair.
     """
-    interpolation, forward = given["interpolation"], given["feed_forward"]
+    interpolation, feed_forward = given["interpolation"], given["feed_forward"]
     smoothing, contour = given["smoothing"], given["contour"]
-    if smoothing is not None and not forward:
+    if smoothing is not None and not feed_forward:
         raise OptionError(
             f"--smoothing {smoothing!r} needs feed-forward", remedy="Give --feed-forward too."
         )
     feed, rule = given["feed"], given["feed_mode"]
-    both = feed is not None and rule is not None
-    if both and parse_feed(str(feed)).mode not in {FeedMode.F_WORD, FeedMode.OVERRIDE}:
+    feed_and_rule = feed is not None and rule is not None
+    if feed_and_rule and parse_feed(str(feed)).mode not in {FeedMode.F_WORD, FeedMode.OVERRIDE}:
         raise OptionError(
             f"--feed-mode {rule!r} is a rule for F, and --feed {feed!r} replaces every F",
             remedy='Leave one of them out, or give the feed as an F, like "F 3000".',
@@ -383,17 +383,17 @@ def _refuse_pairs(given: Mapping[str, Word]) -> None:
 
 def foreign_options(kind: str, machine: Machine, options: Options) -> list[str]:
     """Return the given options, as typed, that do not apply to a kind of work."""
-    options, plain, found = options.on(machine), Options().on(machine), []
-    for one in _PLANNING.values():
-        if kind in one.kinds or not one.attribute:
+    options, defaults, foreign = options.on(machine), Options().on(machine), []
+    for entry in _PLANNING.values():
+        if kind in entry.kinds or not entry.attribute:
             continue
-        if getattr(options, one.attribute) != getattr(plain, one.attribute):
-            found.append(one.typed)
+        if getattr(options, entry.attribute) != getattr(defaults, entry.attribute):
+            foreign.append(entry.typed)
     if options.interpolation.startswith(BY_LAW):
         law = kind in option("law").kinds
-        found = [("--law" if name == "--interpolation" else name) for name in found]
-        found = [name for name in found if not (law and name == "--law")]
-    return found
+        foreign = [("--law" if name == "--interpolation" else name) for name in foreign]
+        foreign = [name for name in foreign if not (law and name == "--law")]
+    return foreign
 
 
 def refuse_axis_options(machine: Machine, options: Options) -> None:
@@ -417,16 +417,16 @@ _CONTOUR = "contour"
 
 def describe(job: Job, machine: Machine, options: Options) -> dict[str, str]:
     """Return the options as text, complete enough to make the same plan again."""
-    said = {"job": job.file, "machine": machine.reference}
+    texts = {"job": job.file, "machine": machine.reference}
     if machine.parameters:
-        said["par"] = machine.parameters
-    for one, recorded in RECORDED:
-        value = getattr(options, one.attribute)
+        texts["par"] = machine.parameters
+    for entry, recorded in RECORDED:
+        value = getattr(options, entry.attribute)
         if recorded.key == _CONTOUR:  # write also the default, but nothing if it has no effect
             value = options.allowance_m if options.interpolation == OPTIMAL else None
         if (text := recorded.write(value)) is not None:
-            said[recorded.key] = text
-    return said
+            texts[recorded.key] = text
+    return texts
 
 
 def options_from(description: dict[str, str]) -> Options:
@@ -437,10 +437,10 @@ def options_from(description: dict[str, str]) -> Options:
     OptionError
         If one of them is missing or unreadable.
     """
-    read = {}
-    for one, recorded in RECORDED:
+    values = {}
+    for entry, recorded in RECORDED:
         if recorded.key in description:
-            read[one.attribute] = recorded.read(description[recorded.key])
+            values[entry.attribute] = recorded.read(description[recorded.key])
         elif recorded.required:
             raise OptionError(
                 f"the recording does not name the {recorded.key} of its plan",
@@ -450,5 +450,5 @@ def options_from(description: dict[str, str]) -> Options:
     if _CONTOUR not in description and of_loads:
         # A recording without a contour limit comes from a plan whose table is extended until the
         # inverses have settled.
-        read["contour_m"] = math.inf
-    return Options(**read)
+        values["contour_m"] = math.inf
+    return Options(**values)

@@ -95,36 +95,37 @@ def over_tolerances(
     within = WithinTolerances(plan, spec, with_product=True)
     hasty = suspects is not None
     if suspects:
-        first = WorstSearch(within, hasty=True)
-        first.tried(np.stack(suspects))
-        if first.failed or (
-            within.together and not within.in_days(first.parts, _days(within)).passed.all()
+        suspects_search = WorstSearch(within, hasty=True)
+        suspects_search.tried(np.stack(suspects))
+        if suspects_search.failed or (
+            within.together
+            and not within.in_days(suspects_search.parts, _days(within)).passed.all()
         ):
-            return _found(within, first, verdict, runs_of, 0, suspects)
+            return _worst_case(within, suspects_search, verdict, runs_of, 0, suspects)
     search = WorstSearch(within, hasty=hasty)
-    search.done = _counted(progress, len(within.singles) + search.most + machines)
+    search.done = _counting(progress, len(within.singles) + search.most + machines)
     search.begin()
-    count = 0
+    drawn_count = 0
     at_once = _AT_ONCE_ALONE if hasty and not within.together else machines
-    while count < machines and not search.ended:
-        index = np.arange(count, min(count + at_once, machines))
-        search.draw(within.with_products(drawn(plan.machine, VARIANT_SEED, index), index))
-        count += len(index)
+    while drawn_count < machines and not search.ended:
+        indices = np.arange(drawn_count, min(drawn_count + at_once, machines))
+        search.draw(within.with_products(drawn(plan.machine, VARIANT_SEED, indices), indices))
+        drawn_count += len(indices)
     search.go_on()
-    return _found(within, search, verdict, runs_of, count, suspects)
+    return _worst_case(within, search, verdict, runs_of, drawn_count, suspects)
 
 
-def _counted(progress: Progress | None, most: int) -> Done | None:
+def _counting(progress: Progress | None, total: int) -> Done | None:
     if progress is None:
         return None
-    tried = 0.0
+    judged_count = 0.0
 
     progress(_DOING, 0.0)
 
     def done(count: float) -> None:
-        nonlocal tried
-        tried += count
-        progress(_DOING, min(tried / most, 1.0))
+        nonlocal judged_count
+        judged_count += count
+        progress(_DOING, min(judged_count / total, 1.0))
 
     return done
 
@@ -134,7 +135,7 @@ def _days(within: WithinTolerances) -> Days:
     return drawn_days(REPEATED_RUNS, len(within.plan.axes), np.random.default_rng(REPEAT_SEED))
 
 
-def _found(
+def _worst_case(
     within: WithinTolerances,
     search: WorstSearch,
     verdict: Verdict,
@@ -142,37 +143,43 @@ def _found(
     count: int,
     suspects: Suspects | None,
 ) -> WorstCase:
-    at = search.worst_of_days(_days(within))
-    parts, found = search.parts[at], search.found
-    shares, names = shares_of(found.taken(np.array([at])))
+    worst_index = search.worst_of_days(_days(within))
+    parts, results = search.parts[worst_index], search.found
+    shares, names = shares_of(results.taken(np.array([worst_index])))
     worst = within.worst_at(parts, float(shares[0]), names[0])
     if suspects is not None:
-        suspects[:] = [parts, *(one for one in suspects if (one != parts).any())][:_MOST_SUSPECTS]
+        suspects[:] = [parts, *(suspect for suspect in suspects if (suspect != parts).any())][
+            :_MOST_SUSPECTS
+        ]
     try:
-        other = variant(within.plan.machine, within.machine_parts(parts))
-        of_worst, judged = runs_of(other, tuple(within.product(parts[None])[0].tolist()))
+        worst_machine = variant(within.plan.machine, within.machine_parts(parts))
+        worst_verdict, worst_recordings = runs_of(
+            worst_machine, tuple(within.product(parts[None])[0].tolist())
+        )
     except (MachineError, RecordingError):
-        of_worst, judged = None, ()
-    others = found.taken(np.flatnonzero(np.arange(found.runs) != at))
-    results = [*with_lines(with_other_machines(verdict, others).results, within.plan)]
-    stuck = np.flatnonzero(unanswered_in(found))
-    if len(stuck):
-        why = [within.why_not(search.parts[stuck[0]])] * len(stuck)
-        results.append(unanswered(found.runs, why))
-    passed = int(found.taken(search.drawn).passed.sum())
-    criterion, share = _closest(of_worst)
-    over = OverTolerances(
-        searched=found.runs - count,
+        worst_verdict, worst_recordings = None, ()
+    others = results.taken(np.flatnonzero(np.arange(results.runs) != worst_index))
+    rows = [*with_lines(with_other_machines(verdict, others).results, within.plan)]
+    unanswered_indices = np.flatnonzero(unanswered_in(results))
+    if len(unanswered_indices):
+        reasons = [within.why_not(search.parts[unanswered_indices[0]])] * len(unanswered_indices)
+        rows.append(unanswered(results.runs, reasons))
+    passed = int(results.taken(search.drawn).passed.sum())
+    criterion, share = _closest(worst_verdict)
+    tolerances = OverTolerances(
+        searched=results.runs - count,
         criterion=criterion,
         share=share,
         drawn=count,
         passed=passed,
         least=at_least(passed, count),
     )
-    whole = replace(verdict, results=tuple(results), machines=count, tolerances=over)
-    if of_worst is not None:
-        whole = worst_of(whole, [(_OF_WORST, _numbered(of_worst, verdict.runs))], None)
-    return WorstCase(verdict=whole, worst=worst, judged=judged)
+    over_verdict = replace(verdict, results=tuple(rows), machines=count, tolerances=tolerances)
+    if worst_verdict is not None:
+        over_verdict = worst_of(
+            over_verdict, [(_OF_WORST, _numbered(worst_verdict, verdict.runs))], None
+        )
+    return WorstCase(verdict=over_verdict, worst=worst, judged=worst_recordings)
 
 
 def _closest(verdict: Verdict | None) -> tuple[str, float | None]:

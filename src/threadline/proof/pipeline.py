@@ -95,12 +95,12 @@ class Trials:
             If ``ends`` is given and no load or spring of ``machine`` has a tolerance, or if
             ``band`` is given and the machine has no spring.
         """
-        found: dict[Literal["ends", "band"], Others] = {}
+        by_option: dict[Literal["ends", "band"], Others] = {}
         if self.ends is not None:
-            found["ends"] = ends_of(machine, self.ends)
+            by_option["ends"] = ends_of(machine, self.ends)
         if self.band is not None:
-            found["band"] = band_of(machine, self.band)
-        return found
+            by_option["band"] = band_of(machine, self.band)
+        return by_option
 
     @property
     def alone(self) -> Trials:
@@ -198,8 +198,10 @@ def open_job(job_file: Path, machine: Machine, options: Options) -> Job:
         reading["needle_speed"] = options.needle
     if options.long_stitches is not None:
         reading["long_stitches"] = options.long_stitches
-    known = with_radii(machine, options.radius)
-    return shifted(read_job(job_file, known, **reading), known, options.offset)
+    machine_with_radii = with_radii(machine, options.radius)
+    return shifted(
+        read_job(job_file, machine_with_radii, **reading), machine_with_radii, options.offset
+    )
 
 
 def plan_job(job: Job, machine: Machine, options: Options) -> Plan:
@@ -214,13 +216,13 @@ def plan_job(job: Job, machine: Machine, options: Options) -> Plan:
     """
     kind, options = kind_of(machine), options.on(machine)
     kind.check_options(machine, options)
-    known = with_radii(machine, options.radius)
+    machine_with_radii = with_radii(machine, options.radius)
     if options.product is not None:
         from threadline.winding.product import with_mandrel  # only windings need it
 
-        known = with_mandrel(known, options.product)
-    plan = kind.plan(job, known, options)
-    return plan if known.mounted is None else with_beginning(plan)
+        machine_with_radii = with_mandrel(machine_with_radii, options.product)
+    plan = kind.plan(job, machine_with_radii, options)
+    return plan if machine_with_radii.mounted is None else with_beginning(plan)
 
 
 def simulate(commands: Commands, machine: Machine) -> Recording:
@@ -262,15 +264,15 @@ def target_of(name: str, machine: Machine) -> Target:
     OptionError
         If it is unknown or belongs to another kind of machine.
     """
-    own = kind_of(machine).targets
-    if name in own:
-        return own[name]
+    targets = kind_of(machine).targets
+    if name in targets:
+        return targets[name]
     if name not in target_names():
-        raise OptionError(f"unknown target {name[:40]!r}", remedy=nearest(name, sorted(own)))
+        raise OptionError(f"unknown target {name[:40]!r}", remedy=nearest(name, sorted(targets)))
     raise OptionError(
         f"target {name!r} is for another kind of machine than {machine.name}, which is "
         f"commanded by {machine.commanded_by}",
-        remedy=f"Use {' or '.join(own)}.",
+        remedy=f"Use {' or '.join(targets)}.",
     )
 
 
@@ -305,22 +307,24 @@ def write(plan: Plan, target: str, out: str | Path, *, slower: bool = True) -> l
         If the commands exceed a limit, or the program is slower than permitted; then nothing is
         written.
     """
-    chosen = target_of(target, plan.machine)
+    chosen_target = target_of(target, plan.machine)
     kind_of(plan.machine).release(plan)
     with together():
-        writer = chosen.write if slower else chosen.write_no_slower or chosen.write
+        writer = (
+            chosen_target.write if slower else chosen_target.write_no_slower or chosen_target.write
+        )
         files = writer(plan, Path(out))
-    if chosen.takes_shaped or not files:
+    if chosen_target.takes_shaped or not files:
         return files
     # The written file was compared with the plan; the plan itself deviates from the program.
     return [replace(files[0], facts=(*files[0].facts, _off_program(plan))), *files[1:]]
 
 
 def _off_program(plan: Plan) -> str:
-    (found,) = measure_motion_deviation(plan)
-    where = "" if found.job_line is None else f" (job line {found.job_line})"
-    off_mm = 1e3 * (found.value or 0.0)
-    return f"corners are cut by up to {off_mm:.2g} mm, at the tool{where}"
+    (deviation,) = measure_motion_deviation(plan)
+    line_text = "" if deviation.job_line is None else f" (job line {deviation.job_line})"
+    deviation_mm = 1e3 * (deviation.value or 0.0)
+    return f"corners are cut by up to {deviation_mm:.2g} mm, at the tool{line_text}"
 
 
 def prove(
@@ -397,32 +401,36 @@ def prove_plan(
     share = Share(plan, progress, len(recordings))
     verdict, worst = judge.verdict(share.of(recordings)), None
     if trials.repeats == REPEATED_RUNS and verdict.near and kind.together(machine):
-        more = _runs_within_reach(plan, spec)
-        if more > trials.repeats:  # the first ``trials.repeats`` runs are the same again
-            again = kind.days(commands, machine, more, np.random.default_rng(REPEAT_SEED))
-            recordings = of_product(again, trials.product)
-            further = judge.verdict(Share(plan, progress, len(recordings)).of(recordings))
-            verdict = _beside_first(further, verdict)
+        run_count = _runs_within_reach(plan, spec)
+        if run_count > trials.repeats:  # the first ``trials.repeats`` runs are the same again
+            more_recordings = kind.days(
+                commands, machine, run_count, np.random.default_rng(REPEAT_SEED)
+            )
+            recordings = of_product(more_recordings, trials.product)
+            further_verdict = judge.verdict(Share(plan, progress, len(recordings)).of(recordings))
+            verdict = _beside_first(further_verdict, verdict)
     others: tuple[Recording, ...] = ()
     if trials.machines and trials.wanted_yield is None:
 
-        def runs_of(other: Machine, product: tuple[float, ...]) -> Judged:
-            alone = replace(trials, machines=0, product=product)
-            proof = prove_plan(plan, spec, None, alone, other, judge)
+        def runs_of(other_machine: Machine, product: tuple[float, ...]) -> Judged:
+            one_machine_trials = replace(trials, machines=0, product=product)
+            proof = prove_plan(plan, spec, None, one_machine_trials, other_machine, judge)
             return proof.verdict, proof.judged
 
-        of_machine = replace(plan, machine=machine, commands=commands)
-        over = over_tolerances(
-            of_machine, spec, verdict, trials.machines, runs_of, progress, suspects
+        plan_on_machine = replace(plan, machine=machine, commands=commands)
+        worst_case = over_tolerances(
+            plan_on_machine, spec, verdict, trials.machines, runs_of, progress, suspects
         )
-        verdict, worst, others = over.verdict, over.worst, over.judged
+        verdict, worst, others = worst_case.verdict, worst_case.worst, worst_case.judged
     if trials.wanted_yield is not None:
         parts = drawn(machine, VARIANT_SEED, np.arange(trials.machines))
-        of_them = plan if actual is None else replace(plan, machine=machine)
-        found, tried = rejects(kind, of_them, judge, parts, trials.wanted_yield, random)
-        results = (*verdict.results, found)
+        plan_on_actual = plan if actual is None else replace(plan, machine=machine)
+        rejects_result, judged_count = rejects(
+            kind, plan_on_actual, judge, parts, trials.wanted_yield, random
+        )
+        results = (*verdict.results, rejects_result)
         verdict = replace(
-            verdict, results=results, machines=tried, wanted_yield=trials.wanted_yield
+            verdict, results=results, machines=judged_count, wanted_yield=trials.wanted_yield
         )
     return Proof(
         plan=plan,
@@ -439,19 +447,25 @@ def prove_plan(
 def _runs_within_reach(plan: Plan, spec: Spec) -> int:
     """Return how many runs of a plan are simulated if twenty runs come near a limit."""
     tick_s = float(plan.machine.tick_clock.period_s)
-    most = min(_MOST_SAMPLES / (plan.commands.tick_count() or 1), _MOST_HELD * tick_s / spec.lag_s)
-    return min(MOST_RUNS, int(most))
+    affordable = min(
+        _MOST_SAMPLES / (plan.commands.tick_count() or 1), _MOST_HELD * tick_s / spec.lag_s
+    )
+    return min(MOST_RUNS, int(affordable))
 
 
 def _beside_first(verdict: Verdict, first: Verdict) -> Verdict:
     """Return the verdict of many runs, with notes on the results of the first runs."""
     results = []
-    for one, other in zip(verdict.results, first.results, strict=True):
-        note = one.note
-        if one.limit and one.typical is not None and one.measured != other.measured:
-            came = "-" if other.measured is None else shown(other.measured, other.unit)
-            note = "; ".join(filter(None, (note, f"{came} in the first {first.runs} runs")))
-        results.append(replace(one, note=note))
+    for result, first_result in zip(verdict.results, first.results, strict=True):
+        note = result.note
+        if result.limit and result.typical is not None and result.measured != first_result.measured:
+            first_text = (
+                "-"
+                if first_result.measured is None
+                else shown(first_result.measured, first_result.unit)
+            )
+            note = "; ".join(filter(None, (note, f"{first_text} in the first {first.runs} runs")))
+        results.append(replace(result, note=note))
     return replace(verdict, results=tuple(results))
 
 
@@ -463,12 +477,16 @@ def _with_others(
     proof = prove_plan(plan, spec, progress, trials.alone, actual, judge, suspects)
     verdict = proof.verdict
     for name, others in trials.others(plan.machine if actual is None else actual).items():
-        found = []
-        for named, other in others.machines:
+        verdicts = []
+        for label, other_machine in others.machines:
             # Amplitudes computed from place and speed depend on the mode of the machine that ran.
-            own = Judge(replace(plan, machine=other), spec) if name == "band" else judge
-            found.append((named, prove_plan(plan, spec, None, NOMINAL, other, own).verdict))
-        verdict = worst_of(verdict, found, name)
+            own_judge = (
+                Judge(replace(plan, machine=other_machine), spec) if name == "band" else judge
+            )
+            verdicts.append(
+                (label, prove_plan(plan, spec, None, NOMINAL, other_machine, own_judge).verdict)
+            )
+        verdict = worst_of(verdict, verdicts, name)
     return replace(proof, verdict=verdict)
 
 
@@ -488,13 +506,13 @@ def try_plan(
     """
     judge = Judge(plan, spec)
     stages = dict.fromkeys((NOMINAL, Trials(repeats=trials.repeats)))
-    runs, before = sum(some.repeats for some in stages), 0
-    for some in stages:
-        part = part_of(progress, before / runs, some.repeats / runs)
-        before += some.repeats
-        proof = prove_plan(plan, spec, part, some, actual, judge)
+    runs, runs_before = sum(stage.repeats for stage in stages), 0
+    for stage in stages:
+        stage_progress = part_of(progress, runs_before / runs, stage.repeats / runs)
+        runs_before += stage.repeats
+        proof = prove_plan(plan, spec, stage_progress, stage, actual, judge)
         failed = any(result.status is Status.FAILED for result in proof.verdict.results)
-        if some == trials or failed:
+        if stage == trials or failed:
             return proof
-    known = [] if suspects is None else suspects
-    return prove_plan(plan, spec, None, trials, actual, judge, known)
+    known_suspects = [] if suspects is None else suspects
+    return prove_plan(plan, spec, None, trials, actual, judge, known_suspects)

@@ -203,18 +203,22 @@ def copy_proof(known: ProofFile, path: str | Path) -> ProofFile:
         If it cannot be written.
     """
     path = Path(path)
-    here, there = known.path.parent, path.parent
+    old_folder, new_folder = known.path.parent, path.parent
     content = {key: value for key, value in known.content.items() if key != "sha256"}
     for what in ("job", "spec"):
         if (file := content[what]["file"]) is not None:
-            content[what] = {**content[what], "file": _from(here, file, there)}
+            content[what] = {**content[what], "file": _relative_from(old_folder, file, new_folder)}
     for what in ("machine", "actual"):
         if (machine := content[what]) is None:
             continue
         name, overlays = split_reference(str(machine["reference"]))
         if name.endswith(".toml"):
-            name = _from(here, name, there)
-        par = None if machine["par"] is None else _from(here, machine["par"], there)
+            name = _relative_from(old_folder, name, new_folder)
+        par = (
+            None
+            if machine["par"] is None
+            else _relative_from(old_folder, machine["par"], new_folder)
+        )
         content[what] = {**machine, "reference": "+".join([name, *overlays]), "par": par}
     content = {**content, "sha256": canonical_sha256(content)}
     _write(content, path)
@@ -255,37 +259,37 @@ def read_proof(path: str | Path, key: bytes | None = None) -> ProofFile:
             place=place,
             remedy="Write one with threadline prove --proof FILE.",
         )
-    rest = {key: value for key, value in content.items() if key != "sha256"}
-    if content.get("sha256") != canonical_sha256(rest):
+    hashed_content = {key: value for key, value in content.items() if key != "sha256"}
+    if content.get("sha256") != canonical_sha256(hashed_content):
         raise ProofError(
             "the file was changed since it was written: its sha256 entry does not match",
             place=place,
             remedy="Prove the job again.",
         )
-    if where := malformed_entry(content):
+    if entry_name := malformed_entry(content):
         raise ProofError(
-            f"{where!r} is missing, or has the wrong type",
+            f"{entry_name!r} is missing, or has the wrong type",
             place=place,
             remedy="Write one with threadline prove --proof FILE.",
         )
-    if why := contradiction(content) or _other_options(content):
-        raise _contradicts(path, why)
-    found = ProofFile(path=path, content=content)
+    if reason := contradiction(content) or _other_options(content):
+        raise _contradicts(path, reason)
+    proof = ProofFile(path=path, content=content)
     if key is not None:
-        _check_signature(found, key)
-    return found
+        _check_signature(proof, key)
+    return proof
 
 
-def _contradicts(path: Path, why: str) -> ProofError:
+def _contradicts(path: Path, reason: str) -> ProofError:
     return ProofError(
-        f"it contradicts itself: {why}", place=Place(str(path)), remedy="Prove the job again."
+        f"it contradicts itself: {reason}", place=Place(str(path)), remedy="Prove the job again."
     )
 
 
 def _other_options(content: Mapping[str, Any]) -> str:
     options = content["options"]
-    right = options["sha256"] == canonical_sha256(options["given"])
-    return "" if right else "the sha256 of its options does not match the options in it"
+    matches = options["sha256"] == canonical_sha256(options["given"])
+    return "" if matches else "the sha256 of its options does not match the options in it"
 
 
 def check_proof(
@@ -309,19 +313,19 @@ def check_proof(
     ProofError
         If the file is not a proof, or its criteria differ from the specification whose hash it has.
     """
-    known = proof if isinstance(proof, ProofFile) else read_proof(proof)
-    found = {
+    proof_file = proof if isinstance(proof, ProofFile) else read_proof(proof)
+    hashes = {
         **_read_sha256(plan.job.sha256, plan.machine, actual),
         "options": options_sha256(plan),
         "spec": spec_sha256(spec),
         "commands": plan.commands.rows_sha256(),
     }
-    differences = _differences(known, found)
-    if known.content["threadline"] != __version__:
-        version = str(known.content["threadline"])
+    differences = _differences(proof_file, hashes)
+    if proof_file.content["threadline"] != __version__:
+        version = str(proof_file.content["threadline"])
         differences.append(Difference("threadline", "threadline", version, __version__))
-    if not differences and (why := criteria_difference(known.content, plan, spec)):
-        raise _contradicts(known.path, why)
+    if not differences and (reason := criteria_difference(proof_file.content, plan, spec)):
+        raise _contradicts(proof_file.path, reason)
     return tuple(differences)
 
 
@@ -335,20 +339,20 @@ def verify_proof(proof: ProofFile | str | Path) -> tuple[Difference, ...]:
     InputError
         If one of the named files cannot be read, or the job can no longer be planned.
     """
-    known = proof if isinstance(proof, ProofFile) else read_proof(proof)
-    folder = known.path.parent
-    content = known.content
+    proof_file = proof if isinstance(proof, ProofFile) else read_proof(proof)
+    folder = proof_file.path.parent
+    content = proof_file.content
     machine = _load(content["machine"], folder)
     actual = None if content["actual"] is None else _load(content["actual"], folder)
     options = options_from(content["options"]["given"])
-    spec = load_spec(known.spec_path, machine)
+    spec = load_spec(proof_file.spec_path, machine)
     job = open_job(folder / content["job"]["file"], machine, options)
-    early = _differences(known, _read_sha256(job.sha256, machine, actual))
-    if early:
+    file_differences = _differences(proof_file, _read_sha256(job.sha256, machine, actual))
+    if file_differences:
         # A plan from other files would only report the same difference again.
-        return tuple(early)
+        return tuple(file_differences)
     plan = plan_job(job, machine, options)
-    return check_proof(known, plan, with_shaping(spec, machine, options), actual)
+    return check_proof(proof_file, plan, with_shaping(spec, machine, options), actual)
 
 
 def options_sha256(plan: Plan) -> str:
@@ -394,9 +398,9 @@ def _load(content: Mapping[str, Any], folder: Path) -> Machine:
     return machine if content["par"] is None else read_parameters(folder / content["par"], machine)
 
 
-def _from(here: Path, file: str, there: Path) -> str:
-    """Return a path relative to ``here`` as a path relative to ``there``."""
-    return _beside(os.path.normpath(here / file), there)
+def _relative_from(old_folder: Path, file: str, new_folder: Path) -> str:
+    """Return a path relative to ``old_folder`` as a path relative to ``new_folder``."""
+    return _beside(os.path.normpath(old_folder / file), new_folder)
 
 
 def _write(content: Mapping[str, Any], path: Path) -> Written:
@@ -419,14 +423,14 @@ def _entries(place: Place, pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
     Readers of JSON differ in which of the two entries they take.
     """
-    found = dict(pairs)
-    if len(found) < len(pairs):
+    entries = dict(pairs)
+    if len(entries) < len(pairs):
         names = [name for name, _ in pairs]
-        twice = next(name for name in names if names.count(name) > 1)
+        repeated = next(name for name in names if names.count(name) > 1)
         raise ProofError(
-            f"the entry {twice[:40]!r} occurs twice", place=place, remedy="Give a proof."
+            f"the entry {repeated[:40]!r} occurs twice", place=place, remedy="Give a proof."
         )
-    return found
+    return entries
 
 
 def _refuse_constant(text: str) -> float:

@@ -94,19 +94,24 @@ def malformed_entry(content: Mapping[str, Any]) -> str:
     )
 
 
-def _wrong(found: object, form: _Form, at: str) -> str:
+def _wrong(value: object, form: _Form, entry_name: str) -> str:
     if isinstance(form, Mapping):
-        if not isinstance(found, dict):
-            return at
-        names = ((found.get(key, ...), of, f"{at}.{key}".lstrip(".")) for key, of in form.items())
+        if not isinstance(value, dict):
+            return entry_name
+        children = (
+            (value.get(key, ...), entry_form, f"{entry_name}.{key}".lstrip("."))
+            for key, entry_form in form.items()
+        )
     elif isinstance(form, list):
-        if not isinstance(found, list):
-            return at
-        names = ((one, form[0], f"{at}.{number}") for number, one in enumerate(found))
+        if not isinstance(value, list):
+            return entry_name
+        children = (
+            (child, form[0], f"{entry_name}.{number}") for number, child in enumerate(value)
+        )
     else:
-        fits = isinstance(found, form) and (form is bool or not isinstance(found, bool))
-        return "" if fits else at
-    return next(filter(None, (_wrong(*one) for one in names)), "")
+        fits = isinstance(value, form) and (form is bool or not isinstance(value, bool))
+        return "" if fits else entry_name
+    return next(filter(None, (_wrong(*child) for child in children)), "")
 
 
 def contradiction(content: Mapping[str, Any]) -> str:
@@ -154,20 +159,20 @@ def _contradictions(content: Mapping[str, Any]) -> Iterator[str]:
             )
     yield from _of_tolerances(content)
     yield from _of_rejects(criteria, machines)
-    said, derived = verdict["passed"], in_spec(content)
-    if said and not derived:
+    stated_pass, derived_pass = verdict["passed"], in_spec(content)
+    if stated_pass and not derived_pass:
         yield f"it says that it passed, where {_against(criteria) or 'a run was not complete'}"
-    if derived and not said:
+    if derived_pass and not stated_pass:
         yield "it says that it did not pass, where no criterion failed"
 
 
 def _of_tolerances(content: Mapping[str, Any]) -> Iterator[str]:
     """Yield the contradictions in a proof's results for machines within the tolerances."""
-    row, over = content.get("tolerances"), content["level"] == Level.TOLERANCES
-    if row is None or not over:
-        if over or row is not None:
-            has = "no entry" if row is None else "an entry"
-            yield f"its level is {content['level'][:40]!r}, and it has {has} 'tolerances'"
+    row, over_tolerances = content.get("tolerances"), content["level"] == Level.TOLERANCES
+    if row is None or not over_tolerances:
+        if over_tolerances or row is not None:
+            entry_text = "no entry" if row is None else "an entry"
+            yield f"its level is {content['level'][:40]!r}, and it has {entry_text} 'tolerances'"
         return
     drawn, passed, share = row["drawn"], row["passed"], row["worst_share"]
     if drawn != content["machines"] or row["searched"] < 1:
@@ -240,30 +245,30 @@ def _name(criterion: Mapping[str, Any]) -> str:
 def _of_criterion(criterion: Mapping[str, Any]) -> str:
     """Return how the status of a criterion contradicts its measured value and its limit."""
     name, measured, limit = _name(criterion), criterion["measured"], criterion["limit"]
-    kind = MEASURES.get(criterion["name"])
-    if kind is None and criterion["name"] not in _OF_MACHINES:
+    measure_kind = MEASURES.get(criterion["name"])
+    if measure_kind is None and criterion["name"] not in _OF_MACHINES:
         return f"there is no criterion {name!r}"
     status = criterion["status"]
     if status not in {*Status}:
         return f"{name} has the unknown status {status[:40]!r}"
-    outside = _out_of_range(criterion, kind)
-    if outside:
-        return outside
+    range_text = _out_of_range(criterion, measure_kind)
+    if range_text:
+        return range_text
     if measured is None:
         # An infinite time is written as null, and fails any limit.
         endless = criterion["unit"] == "s" and status == (
             Status.REPORTED if limit is None else Status.FAILED
         )
-        found = status if endless else Status.NOT_MEASURED
-    elif kind is not None:
-        found = kind.status(measured, limit)
+        expected = status if endless else Status.NOT_MEASURED
+    elif measure_kind is not None:
+        expected = measure_kind.status(measured, limit)
     else:
-        found = Status.PASSED if limit is not None and measured <= limit else Status.FAILED
-    if status == found:
+        expected = Status.PASSED if limit is not None and measured <= limit else Status.FAILED
+    if status == expected:
         return ""
     measure = "nothing measured" if measured is None else f"{measured:.6g}"
-    under = "no limit" if limit is None else f"a limit of {limit:.6g}"
-    return f"{name} is {status!r} with {measure} under {under}, which is {found.value!r}"
+    limit_text = "no limit" if limit is None else f"a limit of {limit:.6g}"
+    return f"{name} is {status!r} with {measure} under {limit_text}, which is {expected.value!r}"
 
 
 def _out_of_range(criterion: Mapping[str, Any], kind: MeasureKind | None) -> str:
@@ -275,8 +280,8 @@ def _out_of_range(criterion: Mapping[str, Any], kind: MeasureKind | None) -> str
     least, most = (0.0, 1.0) if kind is None else (kind.least, kind.most)
     if measured is None or least - _ROUNDED <= measured <= most + _ROUNDED:
         return ""
-    end = f"less than {least:g}" if measured < least else f"more than {most:g}"
-    return f"{name} is {measured:.6g}, and it cannot be {end}"
+    end_text = f"less than {least:g}" if measured < least else f"more than {most:g}"
+    return f"{name} is {measured:.6g}, and it cannot be {end_text}"
 
 
 def criteria_difference(content: Mapping[str, Any], plan: Plan, spec: Spec) -> str:
@@ -291,16 +296,16 @@ def criteria_difference(content: Mapping[str, Any], plan: Plan, spec: Spec) -> s
     spec
         The specification by which the plan was judged.
     """
-    alone = content["level"] == Level.LIMITS
-    if alone and not plan.machine.without_dynamics:
+    limits_only = content["level"] == Level.LIMITS
+    if limits_only and not plan.machine.without_dynamics:
         return f"its level is {content['level']!r}, and {plan.machine.name} has dynamics"
-    for what, stated, found in (
+    for what, stated, hashed in (
         ("machine", content["machine"]["name"], plan.machine.name),
         ("specification", content["spec"]["name"], spec.name),
         ("kind of commands", content["commands"]["kind"], plan.machine.commanded_by),
     ):
-        if stated != found:
-            return f"its {what} is {stated[:40]!r}, and the hashed one {found!r}"
+        if stated != hashed:
+            return f"its {what} is {stated[:40]!r}, and the hashed one {hashed!r}"
     criteria = with_needle(spec, plan.job).criteria
     rows = [c for c in content["verdict"]["criteria"] if c["name"] not in _OF_MACHINES]
     return next(
@@ -320,15 +325,15 @@ def criteria_difference(content: Mapping[str, Any], plan: Plan, spec: Spec) -> s
 def _unasked(row: Mapping[str, Any], criteria: tuple[Criterion, ...], plan: Plan) -> str:
     """Return how a criterion of a proof differs from the specification; empty if it agrees."""
     axis, step = row["axis"] or "", row.get("step", "")
-    mine = [
+    matching = [
         criterion
         for criterion in criteria
         if (criterion.name, criterion.axis or axis, criterion.step or step)
         == (row["name"], axis, step)
     ]
-    if not mine:
+    if not matching:
         return f"{_name(row)} is no criterion of the specification"
-    limits = [finite(limit_of(criterion, plan)) for criterion in mine]
+    limits = [finite(limit_of(criterion, plan)) for criterion in matching]
     if row["limit"] not in limits:
         limit_texts = [
             "none" if limit is None else f"{limit:.6g}" for limit in (row["limit"], limits[0])
@@ -336,7 +341,7 @@ def _unasked(row: Mapping[str, Any], criteria: tuple[Criterion, ...], plan: Plan
         return (
             f"the limit of {_name(row)} is {limit_texts[0]}, in the specification {limit_texts[1]}"
         )
-    if row["required"] not in {criterion.required for criterion in mine}:
+    if row["required"] not in {criterion.required for criterion in matching}:
         return f"{_name(row)} is required in only one of proof and specification"
     unit = unit_of(MEASURES[row["name"]], axis, plan)
     if row["unit"] != unit:
@@ -346,7 +351,7 @@ def _unasked(row: Mapping[str, Any], criteria: tuple[Criterion, ...], plan: Plan
 
 def _missing(rows: list[Any], criteria: tuple[Criterion, ...], plan: Plan) -> Iterator[str]:
     """Yield the criteria of the specification, by axis or for the tool, that a proof lacks."""
-    known = {(row["name"], row["axis"] or "") for row in rows}
+    present = {(row["name"], row["axis"] or "") for row in rows}
     for criterion in criteria:
         axes: tuple[str, ...] = ("",)
         if MEASURES[criterion.name].per_axis:
@@ -356,20 +361,20 @@ def _missing(rows: list[Any], criteria: tuple[Criterion, ...], plan: Plan) -> It
             endless = axis in plan.machine.axes and plan.machine.axes[axis].endless
             if (axis and idle) or (criterion.name == "travel" and endless):
                 continue
-            if (criterion.name, axis) not in known:
+            if (criterion.name, axis) not in present:
                 yield f"it lacks {f'{criterion.name} {axis}'.strip()}, which the specification asks"
 
 
 def _missing_steps(rows: list[Any], criteria: tuple[Criterion, ...], plan: Plan) -> Iterator[str]:
     """Yield the steps of a move list that a proof lacks in a criterion judged step by step."""
-    judged = steps_judged(plan)
-    known = {(row["name"], row["axis"] or "", row.get("step") or "") for row in rows}
-    stepped = {(name, axis) for name, axis, step in known if step}
+    steps_by_criterion = steps_judged(plan)
+    present = {(row["name"], row["axis"] or "", row.get("step") or "") for row in rows}
+    stepped = {(name, axis) for name, axis, step in present if step}
     for criterion in criteria:
-        for axis, step in judged.get(criterion.name, ()):
+        for axis, step in steps_by_criterion.get(criterion.name, ()):
             if criterion.axis not in {"", axis} or criterion.step not in {"", step}:
                 continue
-            if (criterion.name, axis) in stepped and (criterion.name, axis, step) not in known:
+            if (criterion.name, axis) in stepped and (criterion.name, axis, step) not in present:
                 yield (
                     f"it lacks {' '.join(filter(None, (criterion.name, axis)))} of the step "
                     f"{step[:40]!r}"

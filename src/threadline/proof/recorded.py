@@ -71,21 +71,25 @@ def judge_files(
         If a file cannot be read.
     """
     _refuse_copies(recordings)
-    read = [read_one(path) for path in recordings]
-    given = _given(words, job, machine, read[0].origin)
-    origin = _origin(recordings[0], read[0], given)
+    recordings_read = [read_one(path) for path in recordings]
+    given = _given(words, job, machine, recordings_read[0].origin)
+    origin = _origin(recordings[0], recordings_read[0], given)
     settings = Path(origin["par"]) if "par" in origin else None
-    chosen = chosen_machine(origin["machine"], settings)
-    ran = chosen_machine(origin["actual"], settings) if "actual" in origin else chosen
+    planned_machine = chosen_machine(origin["machine"], settings)
+    run_machine = (
+        chosen_machine(origin["actual"], settings) if "actual" in origin else planned_machine
+    )
     options = options_from(origin)
-    for path, recording in zip(recordings, read, strict=True):
+    for path, recording in zip(recordings, recordings_read, strict=True):
         _refuse_other_options(path, recording.origin, origin)
-    plan = plan_job(open_job(Path(origin["job"]), chosen, options), chosen, options)
-    for path, recording in zip(recordings, read, strict=True):
-        refuse_other_files(path, recording, plan.job, ran)
-    spec = with_shaping(words.spec(chosen), chosen, options)
-    verdict = judge(read, plan, spec)
-    return Judged(recordings=tuple(read), plan=plan, spec=spec, verdict=verdict)
+    plan = plan_job(
+        open_job(Path(origin["job"]), planned_machine, options), planned_machine, options
+    )
+    for path, recording in zip(recordings, recordings_read, strict=True):
+        refuse_other_files(path, recording, plan.job, run_machine)
+    spec = with_shaping(words.spec(planned_machine), planned_machine, options)
+    verdict = judge(recordings_read, plan, spec)
+    return Judged(recordings=tuple(recordings_read), plan=plan, spec=spec, verdict=verdict)
 
 
 def _given(
@@ -104,13 +108,15 @@ def _given(
         "par": words.text("par"),
         "actual": words.text("actual"),
     }
-    for one, known in RECORDED:
-        text = words.text(one.word)
-        read = None if text is None or one.parse is None else one.parse(text)
-        given[known.key] = read if isinstance(read, str) else text
+    for planning_option, file_form in RECORDED:
+        text = words.text(planning_option.word)
+        value = (
+            None if text is None or planning_option.parse is None else planning_option.parse(text)
+        )
+        given[file_form.key] = value if isinstance(value, str) else text
     if (law := words.text("law")) is not None:
-        of_law = options_of(interpolation=given["interpolation"], law=law)
-        given["interpolation"] = of_law.interpolation
+        law_options = options_of(interpolation=given["interpolation"], law=law)
+        given["interpolation"] = law_options.interpolation
     smoothing = words.text("smoothing")
     of_loads = words.flag("feed_forward") or "feed-forward" in recorded
     if smoothing is not None and not of_loads:
@@ -125,7 +131,7 @@ def _given(
 
 def _origin(path: Path, recording: Recording, given: Mapping[str, str | None]) -> dict[str, str]:
     """Return the options of the recorded plan: each as given, else as recorded, else default."""
-    found = {
+    origin = {
         "interpolation": DEFAULT_INTERPOLATION,
         "feed": "programmed",
         "tolerance": DEFAULT_TOLERANCE,
@@ -133,12 +139,12 @@ def _origin(path: Path, recording: Recording, given: Mapping[str, str | None]) -
         **{key: text for key, text in given.items() if text is not None},
     }
     for key, option in (("job", "--job"), ("machine", "--machine")):
-        if key not in found:
+        if key not in origin:
             raise OptionError(
                 f"{path.name} does not name its {key}",
                 remedy=f"Give it with {option}.",
             )
-    return found
+    return origin
 
 
 def refuse_other_files(path: Path, recording: Recording, job: Job, ran: Machine) -> None:
@@ -164,10 +170,10 @@ def _refuse_copies(recordings: Sequence[Path]) -> None:
     for path in recordings if len(recordings) > 1 else ():
         if path.is_file():
             with path.open("rb") as file:
-                other = seen.setdefault(file_digest(file, "sha256").hexdigest(), path)
-            if other is not path:
+                earlier = seen.setdefault(file_digest(file, "sha256").hexdigest(), path)
+            if earlier is not path:
                 raise OptionError(
-                    f"{path.name} holds the same bytes as {other.name}: it is the same run",
+                    f"{path.name} holds the same bytes as {earlier.name}: it is the same run",
                     remedy="Give every run once.",
                 )
 
@@ -177,17 +183,20 @@ def _refuse_other_options(path: Path, recorded: Mapping[str, str], chosen: dict[
     if not recorded:
         return  # a trace of another controller names no plan
     for key in _PLANNED_WITH:
-        ours = {name: text for name, text in chosen.items() if name != key}
+        with_recorded = {name: text for name, text in chosen.items() if name != key}
         if key in recorded:
-            ours[key] = recorded[key]
+            with_recorded[key] = recorded[key]
         elif key in _ALWAYS_SAID:
             continue
-        if options_from(ours) != options_from(chosen):
-            had, has = (one.get(key, "none") for one in (recorded, chosen))
+        if options_from(with_recorded) != options_from(chosen):
+            recorded_text, chosen_text = (texts.get(key, "none") for texts in (recorded, chosen))
             if key == "table":
-                had, has = (text if text == "none" else table_words(text) for text in (had, has))
+                recorded_text, chosen_text = (
+                    text if text == "none" else table_words(text)
+                    for text in (recorded_text, chosen_text)
+                )
             raise OptionError(
-                f"{path.name} was recorded with {key} {had}, not {has}",
+                f"{path.name} was recorded with {key} {recorded_text}, not {chosen_text}",
                 remedy="Judge each run against its own plan: leave the option out, "
                 "and give runs with other options apart.",
             )
@@ -236,19 +245,19 @@ def proof_warnings(proof: Proof) -> list[str]:
 
 def _keeps(plan: Plan) -> bool:
     name = plan.motion.path.interpolation
-    beside = "outside" in plan.options  # the deviations of adjacent corners may then add up
-    return (name in KEEPING_TOLERANCE and not beside) or on_chords(name)
+    leaves_outside = "outside" in plan.options  # the deviations of adjacent corners may then add up
+    return (name in KEEPING_TOLERANCE and not leaves_outside) or on_chords(name)
 
 
 def _deviation_warnings(plan: Plan, deviation_m: float | None, line: int | None) -> list[str]:
     tolerance_m = parse_tolerance_m(plan.options["tolerance"])
     if deviation_m is None or deviation_m <= tolerance_m * (1.0 + _ROUNDING):
         return []
-    at = f" at line {line}" if line else ""
+    line_text = f" at line {line}" if line else ""
     return [
         f"{plan.motion.path.interpolation} does not keep the tolerance of "
         f"{tolerance_m * 1e3:g} mm: the planned path is "
-        f"{deviation_m * 1e3:.3g} mm off the programmed one{at}; "
+        f"{deviation_m * 1e3:.3g} mm off the programmed one{line_text}; "
         f"{', '.join(KEEPING_TOLERANCE[:-1])} and {KEEPING_TOLERANCE[-1]} keep it"
     ]
 
@@ -259,21 +268,21 @@ def needle_warnings(proof: Proof) -> list[str]:
     The limit is the limit of ``stitch_length_error``: if the needle turns evenly, a relative error
     of a stitch's time causes the same relative error of its length.
     """
-    found = {result.name: result for result in proof.verdict.results}
-    time, length = found.get("needle_time_error"), found.get("stitch_length_error")
+    by_name = {result.name: result for result in proof.verdict.results}
+    time, length = by_name.get("needle_time_error"), by_name.get("stitch_length_error")
     limit = LIMIT if length is None or length.limit is None else length.limit
     if time is None or time.measured is None or time.measured <= limit:
         return []
     if not _even(proof.plan.job):
         return []
-    way = "more" if time.note == "too long" else "less"
-    at = f" at line {time.job_line}" if time.job_line else ""
+    relation = "more" if time.note == "too long" else "less"
+    line_text = f" at line {time.job_line}" if time.job_line else ""
     return [
         f"the needle should turn evenly, but {proof.plan.motion.path.interpolation} makes a "
-        f"stitch{at} "
-        f"{100.0 * time.measured:.2g} % {way} than a turn, limit {100.0 * limit:g} %: stitches are "
-        f"judged as if it waited for the head; --feed-forward and --interpolation linear keep "
-        f"its time"
+        f"stitch{line_text} "
+        f"{100.0 * time.measured:.2g} % {relation} than a turn, limit {100.0 * limit:g} %: "
+        f"stitches are judged as if it waited for the head; --feed-forward and --interpolation "
+        f"linear keep its time"
     ]
 
 

@@ -47,13 +47,13 @@ def chosen_machine(machine: str | Path | Machine, par: str | Path | None = None)
     MachineError
         If there is no machine with that name, or the file does not describe one.
     """
-    found = machine if isinstance(machine, Machine) else load_machine(machine)
-    note_input(Path(found.file))
+    loaded = machine if isinstance(machine, Machine) else load_machine(machine)
+    note_input(Path(loaded.file))
     if par is None:
-        return found
+        return loaded
     from threadline.machine.par import read_parameters
 
-    return read_parameters(Path(par), found)
+    return read_parameters(Path(par), loaded)
 
 
 @dataclass(frozen=True, slots=True)
@@ -160,19 +160,19 @@ class Words:
         """
         if not interpolations:
             raise OptionError("there is no interpolation to compare", remedy="Name one at least.")
-        found = []
-        once: tuple[str | None, ...] = (None,)
+        combinations = []
+        as_given: tuple[str | None, ...] = (None,)
         unshaped = {None, UNSHAPED_WORD}
-        for name, feed, shaper in product(interpolations, feeds or once, shapers or once):
-            own: dict[str, Word] = {"interpolation": name, "feed": feed, "shaper": shaper}
+        for name, feed, shaper in product(interpolations, feeds or as_given, shapers or as_given):
+            combination: dict[str, Word] = {"interpolation": name, "feed": feed, "shaper": shaper}
             if name != OPTIMAL and OPTIMAL in interpolations:
-                own |= dict.fromkeys(_OF_OPTIMAL)
+                combination |= dict.fromkeys(_OF_OPTIMAL)
             if name not in USUAL and not USUAL.isdisjoint(interpolations):
-                own["robust"] = None
+                combination["robust"] = None
             if shaper in unshaped and not unshaped.issuperset(shapers):
-                own |= {"mode": None, "damping": None}
-            found.append(self.options(job, **own))
-        return found
+                combination |= {"mode": None, "damping": None}
+            combinations.append(self.options(job, **combination))
+        return combinations
 
     def trials(self, ends: str | None = None) -> Trials:
         """Return the runs that make up a verdict; ``ends`` replaces the given word ``ends``.
@@ -306,13 +306,13 @@ def trials_of(
         raise OptionError(
             f"{' and '.join(levels)} ask for different levels", remedy="Give one of them."
         )
-    found = NOMINAL if nominal else TOLERANCES if tolerances else _LEVELS[str(level or "repeated")]
+    trials = NOMINAL if nominal else TOLERANCES if tolerances else _LEVELS[str(level or "repeated")]
     if yield_ is not None:
-        found = yielding(parse_yield(str(yield_)))
+        trials = yielding(parse_yield(str(yield_)))
     elif repeats is not None:
-        found = Trials(repeats=_runs(repeats), machines=found.machines)
+        trials = Trials(repeats=_runs(repeats), machines=trials.machines)
     return replace(
-        found,
+        trials,
         ends=None if ends is None else parse_ends(str(ends)),
         band=None if band is None else parse_band(str(band)),
     )
@@ -355,13 +355,13 @@ def check_target(target: str, machine: Machine, options: Options) -> None:
     kind = kind_of(machine)
     kind.check_options(machine, options)
     written_as = target_of(target, machine)
-    forward = options.feed_forward_s is not None
-    if (forward or options.shaper is not None) and not written_as.takes_shaped:
-        own = kind.targets
+    feed_forward = options.feed_forward_s is not None
+    if (feed_forward or options.shaper is not None) and not written_as.takes_shaped:
+        targets = kind.targets
         raise OptionError(
-            f"{'feed-forward' if forward else 'a shaper'} gives a reference for every tick, "
+            f"{'feed-forward' if feed_forward else 'a shaper'} gives a reference for every tick, "
             f"and target {target!r} cannot write it",
-            remedy=f"Use {' or '.join(name for name in own if own[name].takes_shaped)}.",
+            remedy=f"Use {' or '.join(name for name in targets if targets[name].takes_shaped)}.",
         )
 
 
@@ -415,13 +415,13 @@ def as_arguments(text: str) -> str:
     """
     words = {one.name: one for verb in PYTHON_VERBS for one in options_for(verb, Door.PYTHON)}
 
-    def spoken(found: re.Match[str]) -> str:
-        one, value = words.get(found[1]), found[2]
-        if one is None:
-            return _OTHER_ARGUMENTS.get(found[1], found[0])
-        if one.type is Type.FLAG:
-            return f"{one.word}=True"
-        return f"{one.word}={value or ''}"
+    def spoken(match: re.Match[str]) -> str:
+        entry, value = words.get(match[1]), match[2]
+        if entry is None:
+            return _OTHER_ARGUMENTS.get(match[1], match[0])
+        if entry.type is Type.FLAG:
+            return f"{entry.word}=True"
+        return f"{entry.word}={value or ''}"
 
     return _TYPED_OPTION.sub(spoken, text).replace("(-m)", "(machine=)").replace(" -s,", " spec=,")
 
@@ -464,19 +464,19 @@ def with_options(function: VerbT) -> VerbT:
     Its errors name Python arguments instead of command-line options.
     """
     verb = in_arguments(function)
-    named = verb_of(function.__name__)
-    own = inspect.signature(function)
-    first = [one for one in own.parameters.values() if one.kind is not one.VAR_KEYWORD]
-    listed = [
+    verb_name = verb_of(function.__name__)
+    signature = inspect.signature(function)
+    positional = [one for one in signature.parameters.values() if one.kind is not one.VAR_KEYWORD]
+    option_parameters = [
         inspect.Parameter(
             one.word,
             inspect.Parameter.KEYWORD_ONLY,
-            default=one.default_of(named),
-            annotation=python_type(one, named),
+            default=one.default_of(verb_name),
+            annotation=python_type(one, verb_name),
         )
-        for one in options_for(named, Door.PYTHON)
-        if one.word not in own.parameters
+        for one in options_for(verb_name, Door.PYTHON)
+        if one.word not in signature.parameters
     ]
-    verb.__signature__ = own.replace(parameters=[*first, *listed])  # type: ignore[attr-defined]
-    verb.words = tuple(one.name for one in listed)  # type: ignore[attr-defined]
+    verb.__signature__ = signature.replace(parameters=[*positional, *option_parameters])  # type: ignore[attr-defined]
+    verb.words = tuple(one.name for one in option_parameters)  # type: ignore[attr-defined]
     return cast(VerbT, verb)

@@ -95,17 +95,19 @@ class _Search:
         return EachRun.joined(climbed), len(self.first) + self.climbs * rounds * count
 
     def _climbed(self, begun: EachRun, seed: int) -> EachRun:
-        rounds, count, kept = self.counts
+        rounds, count, kept_count = self.counts
         random, step = np.random.default_rng(seed), _FIRST
-        places, found = self.first, begun
+        places, runs = self.first, begun
         for _ in range(rounds):
-            worst = _worst(found, kept)
-            places, found = places[worst], found.taken(worst)
-            moved = self.changed(places[random.integers(0, len(places), count)], step, random)
-            found = EachRun.joined([found, self.judged(moved)])
-            places = np.concatenate([places, moved])
+            worst_indices = _worst_indices(runs, kept_count)
+            places, runs = places[worst_indices], runs.taken(worst_indices)
+            changed_places = self.changed(
+                places[random.integers(0, len(places), count)], step, random
+            )
+            runs = EachRun.joined([runs, self.judged(changed_places)])
+            places = np.concatenate([places, changed_places])
             step *= self.shrink
-        return found
+        return runs
 
 
 def with_worst_day(plan: Plan, spec: Spec, verdict: Verdict) -> Verdict:
@@ -146,32 +148,43 @@ def with_worst_machine(
     """
     machine = plan.machine
     count = CLIMBS * ROUNDS_OF_MACHINES * CHANGED + 4 * (1 + len(known)) * REPEATED_RUNS
-    if not machine.motors or product_of(plan) is not None or _long(plan, count, _MOST_OF_MACHINES):
+    if (
+        not machine.motors
+        or product_of(plan) is not None
+        or _too_long(plan, count, _MOST_OF_MACHINES)
+    ):
         return verdict
     numbers = uncertain(machine)
-    ends = np.array([one.farthest for one in numbers])
-    delays = [any(path.endswith(".delay") for path in one.numbers) for one in numbers]
-    held, free = np.flatnonzero(delays), np.flatnonzero(np.logical_not(delays))
-    size, judge = len(numbers), RunsJudge(plan, spec.with_margin(LEFT_FREE))
+    ends = np.array([number.farthest for number in numbers])
+    delays = [any(path.endswith(".delay") for path in number.numbers) for number in numbers]
+    dead_times, free_numbers = np.flatnonzero(delays), np.flatnonzero(np.logical_not(delays))
+    number_count, judge = len(numbers), RunsJudge(plan, spec.with_margin(LEFT_FREE))
 
     def judged(places: FloatArray) -> EachRun:
-        days = days_at(places[:, size:])
-        own = numbers_at(machine, places[:, :size] * ends)
-        return judge.judged(on_own_days(machine, own, days), days.phases)
+        days = days_at(places[:, number_count:])
+        machine_numbers = numbers_at(machine, places[:, :number_count] * ends)
+        return judge.judged(on_own_days(machine, machine_numbers, days), days.phases)
 
     def changed(places: FloatArray, step: float, random: np.random.Generator) -> FloatArray:
-        moved = _moved_day(places, step, random)
-        own = places[:, :size].copy()
-        part = own[:, free]
-        far = random.random(part.shape) < _TO_AN_END
-        near = np.clip(part + 2.0 * step * random.standard_normal(part.shape), -1.0, 1.0)
-        chosen = random.random(part.shape) < _MOVED / max(len(free), 1)
-        other = np.where(far, random.choice((-1.0, 1.0), part.shape), near)
-        own[:, free] = np.where(chosen, other, part)
-        return np.concatenate([own, moved[:, size:]], axis=1)
+        moved_places = _moved_day(places, step, random)
+        parts = places[:, :number_count].copy()
+        free_parts = parts[:, free_numbers]
+        to_an_end = random.random(free_parts.shape) < _TO_AN_END
+        stepped = np.clip(
+            free_parts + 2.0 * step * random.standard_normal(free_parts.shape), -1.0, 1.0
+        )
+        is_changed = random.random(free_parts.shape) < _MOVED / max(len(free_numbers), 1)
+        moved_parts = np.where(to_an_end, random.choice((-1.0, 1.0), free_parts.shape), stepped)
+        parts[:, free_numbers] = np.where(is_changed, moved_parts, free_parts)
+        return np.concatenate([parts, moved_places[:, number_count:]], axis=1)
 
-    own = np.stack([np.zeros(size), *(parts[:size] / ends for parts in known)])
-    machines = np.unique(np.concatenate([own, *(_held_at(own, held, at) for at in _DEAD)]), axis=0)
+    known_parts = np.stack(
+        [np.zeros(number_count), *(parts[:number_count] / ends for parts in known)]
+    )
+    machines = np.unique(
+        np.concatenate([known_parts, *(_held_at(known_parts, dead_times, at) for at in _DEAD)]),
+        axis=0,
+    )
     days = places_of_days(_drawn(plan, REPEATED_RUNS))
     first = np.concatenate(
         [np.repeat(machines, len(days), axis=0), np.tile(days, (len(machines), 1))], axis=1
@@ -189,14 +202,14 @@ def with_worst_machine(
 
 def _held_at(places: FloatArray, held: IntArray, at: float) -> FloatArray:
     """Return places of machines with all dead times at the part ``at`` of their tolerances."""
-    moved = places.copy()
-    moved[:, held] = at
-    return moved
+    held_places = places.copy()
+    held_places[:, held] = at
+    return held_places
 
 
 def _days_together(plan: Plan, spec: Spec) -> _Search | None:
     machine = plan.machine
-    if _long(plan, MOST_RUNS + ROUNDS * CHANGED):
+    if _too_long(plan, MOST_RUNS + ROUNDS * CHANGED):
         return None
     drawn = _drawn(plan, MOST_RUNS)
     if not varied_numbers(machine, drawn):
@@ -217,26 +230,26 @@ def _days_together(plan: Plan, spec: Spec) -> _Search | None:
 
 def _days_alone(plan: Plan, spec: Spec) -> _Search | None:
     """Return the search for a machine whose days are simulated one by one, with few days."""
-    if _long(plan, REPEATED_RUNS + ROUNDS_ALONE * CHANGED_ALONE):
+    if _too_long(plan, REPEATED_RUNS + ROUNDS_ALONE * CHANGED_ALONE):
         return None
     machine, commands, judge = plan.machine, plan.commands, Judge(plan, spec)
     kind = kind_of(machine)
     ranges = kind.ranges_of_days(commands)
 
     def judged(places: FloatArray) -> EachRun:
-        found = []
-        for one in places:
+        results = []
+        for place in places:
             try:
-                found += [judge.each(run) for run in kind.on_days(commands, machine, one[None])]
+                results += [judge.each(run) for run in kind.on_days(commands, machine, place[None])]
             except (MachineError, RecordingError):
-                found.append(judge.each(kind.simulate(commands, machine)).without_answer())
-        return EachRun.joined(found)
+                results.append(judge.each(kind.simulate(commands, machine)).without_answer())
+        return EachRun.joined(results)
 
     random = np.random.default_rng(REPEAT_SEED)
-    few = min(2**ranges, REPEATED_RUNS)
-    corners = (np.arange(few)[:, None] >> np.arange(ranges)) & 1
-    if 2**ranges > few:
-        corners = random.integers(0, 2, (few, ranges))
+    corner_count = min(2**ranges, REPEATED_RUNS)
+    corners = (np.arange(corner_count)[:, None] >> np.arange(ranges)) & 1
+    if 2**ranges > corner_count:
+        corners = random.integers(0, 2, (corner_count, ranges))
     return _Search(
         first=corners.astype(np.float64),
         judged=judged,
@@ -246,22 +259,22 @@ def _days_alone(plan: Plan, spec: Spec) -> _Search | None:
 
 
 def _with_found(plan: Plan, verdict: Verdict, search: _Search, *, machines: bool) -> Verdict:
-    found, tried = search.found()
+    worst_runs, tried_count = search.found()
     text = _MACHINE_BY_SEARCH if machines else _BY_SEARCH
-    with_day = with_other_machines(verdict, found, text)
+    with_day = with_other_machines(verdict, worst_runs, text)
     results = with_lines(with_day.results, plan)
-    shares, names = shares_of(found)
-    at = int(np.argmax(np.minimum(shares, 1e9)))
-    row = next((row for row in found.rows if row.text == names[at]), None)
-    has_limit = row is not None and bool(row.limit) and np.isfinite(shares[at])
-    free = LEFT_FREE if machines and row is not None and not row.hard else 0.0
-    stuck = int(unanswered_in(found).sum())
-    if stuck:
-        results = (*results, unanswered(found.runs, [_NEVER_ENDS] * stuck))
+    shares, names = shares_of(worst_runs)
+    worst_run = int(np.argmax(np.minimum(shares, 1e9)))
+    row = next((row for row in worst_runs.rows if row.text == names[worst_run]), None)
+    has_limit = row is not None and bool(row.limit) and np.isfinite(shares[worst_run])
+    free_share = LEFT_FREE if machines and row is not None and not row.hard else 0.0
+    unanswered_count = int(unanswered_in(worst_runs).sum())
+    if unanswered_count:
+        results = (*results, unanswered(worst_runs.runs, [_NEVER_ENDS] * unanswered_count))
     days = SearchedDays(
-        searched=tried,
-        criterion=names[at],
-        share=float(shares[at]) * (1.0 - free) if has_limit else None,
+        searched=tried_count,
+        criterion=names[worst_run],
+        share=float(shares[worst_run]) * (1.0 - free_share) if has_limit else None,
         machines=machines,
     )
     return replace(with_day, results=tuple(results), days=days)
@@ -277,12 +290,12 @@ def _drawn(plan: Plan, count: int) -> Days:
     return drawn_days(count, len(plan.axes), np.random.default_rng(REPEAT_SEED))
 
 
-def _long(plan: Plan, runs: int, most: float = _MOST_SAMPLES) -> bool:
+def _too_long(plan: Plan, runs: int, most: float = _MOST_SAMPLES) -> bool:
     ticks = (plan.commands.tick_count() or 0) * runs
     return ticks * (1 if product_of(plan) is None else _REPLAYED) > most
 
 
-def _worst(found: EachRun, count: int) -> IntArray:
+def _worst_indices(found: EachRun, count: int) -> IntArray:
     """Return the numbers of the ``count`` worst runs, the worst first."""
     shares, _ = shares_of(found)
     return np.asarray(np.argsort(-shares, kind="stable")[:count])

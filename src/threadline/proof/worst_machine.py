@@ -79,11 +79,11 @@ class WithinTolerances:
         if kind_of(plan.machine).together(plan.machine):
             extremes = numbers_at(plan.machine, self._fastest_corner())
             self._many = RunsJudge(plan, spec, threads=threads, extremes=extremes)
-        own = self._many
-        if own is None:
+        runs_judge = self._many
+        if runs_judge is None:
             self._alone = SerialJudge(plan, spec)
         else:
-            self._alone = SerialJudge(own.plan, spec, own.judge)
+            self._alone = SerialJudge(runs_judge.plan, spec, runs_judge.judge)
 
     def _fastest_corner(self) -> FloatArray:
         """Return (k, n) parts of k machines whose rates bound the rates of all drawn machines.
@@ -115,8 +115,8 @@ class WithinTolerances:
     @property
     def ends(self) -> FloatArray:
         """(n,) largest deviation of each number, in parts of its tolerance."""
-        own = [number.farthest for number in self.numbers]
-        return np.array([*own, *np.ones(len(self._wound))])
+        of_machine = [number.farthest for number in self.numbers]
+        return np.array([*of_machine, *np.ones(len(self._wound))])
 
     @property
     def singles(self) -> FloatArray:
@@ -137,9 +137,9 @@ class WithinTolerances:
 
     def product(self, parts: FloatArray) -> FloatArray:
         """Return (k, 5) parts of the products of machines at (k, n) ``parts``."""
-        found = np.zeros((len(parts), len(NUMBERS)))
-        found[:, self._wound] = parts[:, len(self.numbers) :]
-        return found
+        product_parts = np.zeros((len(parts), len(NUMBERS)))
+        product_parts[:, self._wound] = parts[:, len(self.numbers) :]
+        return product_parts
 
     def machine_parts(self, parts: FloatArray) -> FloatArray:
         """Return the (k, n) parts of the machine's numbers, without the parts of the product."""
@@ -147,10 +147,12 @@ class WithinTolerances:
 
     def judged(self, parts: FloatArray, done: Done | None = None) -> EachRun:
         """Return the results of machines at (k, n) parts of their tolerances."""
-        own, products = self.machine_parts(parts), self._products(parts)
+        machine_parts, products = self.machine_parts(parts), self._products(parts)
         if self._many is None:
-            return self._alone.judged(own, done, products)
-        return self._many.judged(numbers_at(self.plan.machine, own), done=done, products=products)
+            return self._alone.judged(machine_parts, done, products)
+        return self._many.judged(
+            numbers_at(self.plan.machine, machine_parts), done=done, products=products
+        )
 
     def judged_each(
         self, batches: Iterable[FloatArray], done: Done | None = None
@@ -159,11 +161,14 @@ class WithinTolerances:
 
         The machines of the next batches are begun before the first batch has ended.
         """
-        each = ((self.machine_parts(parts), self._products(parts)) for parts in batches)
+        split_batches = ((self.machine_parts(parts), self._products(parts)) for parts in batches)
         if self._many is None:
-            return self._alone.judged_each(each, done)
+            return self._alone.judged_each(split_batches, done)
         machine = self.plan.machine
-        variants = (Variants(numbers=numbers_at(machine, own), products=p) for own, p in each)
+        variants = (
+            Variants(numbers=numbers_at(machine, machine_parts), products=p)
+            for machine_parts, p in split_batches
+        )
         return self._many.judged_each(variants, done)
 
     def _products(self, parts: FloatArray) -> FloatArray | None:
@@ -178,8 +183,8 @@ class WithinTolerances:
         from threadline.machine.days import on_days  # only searches need it
 
         assert self._many is not None
-        own = numbers_at(self.plan.machine, self.machine_parts(parts))
-        numbers = on_days(self.plan.machine, own, days)
+        machine_numbers = numbers_at(self.plan.machine, self.machine_parts(parts))
+        numbers = on_days(self.plan.machine, machine_numbers, days)
         products = self._products(parts)
         if products is not None:
             products = np.repeat(products, len(days), axis=0)
@@ -200,23 +205,25 @@ class WithinTolerances:
             Used share and criterion to return if the machine cannot be simulated alone.
         """
         products = self.product(parts[None])
-        own = self.machine_parts(parts)
-        alone = self._alone.judged(own[None], products=products if len(self._wound) else None)
-        shares, names = shares_of(alone)
+        machine_parts = self.machine_parts(parts)
+        result = self._alone.judged(
+            machine_parts[None], products=products if len(self._wound) else None
+        )
+        shares, names = shares_of(result)
         if np.isfinite(shares[0]):
             share, binding = float(shares[0]), names[0]
-        of_runs = [row for row in alone.rows if not row.of_plan]
-        answers = any(np.isfinite(row.values[0]) for row in of_runs)
-        row = next((row for row in of_runs if row.text == binding), None)
-        moved = numbers_at(self.plan.machine, own)
+        run_rows = [row for row in result.rows if not row.of_plan]
+        is_measured = any(np.isfinite(row.values[0]) for row in run_rows)
+        row = next((row for row in run_rows if row.text == binding), None)
+        moved_numbers = numbers_at(self.plan.machine, machine_parts)
         nominal = numbers_at(self.plan.machine, np.zeros(len(self.numbers)))
         return Worst(
             parts=parts,
-            numbers={k: float(v[0]) for k, v in moved.items() if v[0] != nominal[k][0]},
+            numbers={k: float(v[0]) for k, v in moved_numbers.items() if v[0] != nominal[k][0]},
             product={NUMBERS[k]: float(products[0, k]) for k in self._wound if products[0, k]},
             share=share,
             binding=binding,
-            row=row if answers else None,
+            row=row if is_measured else None,
             of_corners=of_corners,
         )
 
@@ -293,20 +300,20 @@ def shares_of(found: EachRun) -> tuple[FloatArray, list[str]]:
     rows = [row for row in found.rows if row.limit is not None and not row.of_plan]
     if not rows:
         return np.zeros(found.runs), [""] * found.runs
-    table = np.stack([np.where(row.failed, _share(row), 0.0) if row.hard else _share(row)
+    shares = np.stack([np.where(row.failed, _share(row), 0.0) if row.hard else _share(row)
                       for row in rows])  # fmt: skip
-    most = table.max(axis=0)
-    at = np.argmax(table >= most * (1.0 - EQUAL_SHARES), axis=0)
-    return most, [rows[k].text for k in at.tolist()]
+    largest = shares.max(axis=0)
+    binding_rows = np.argmax(shares >= largest * (1.0 - EQUAL_SHARES), axis=0)
+    return largest, [rows[k].text for k in binding_rows.tolist()]
 
 
 def _share(row: CriterionRow) -> FloatArray:
     assert row.limit is not None
-    known = np.nan_to_num(row.values, nan=np.inf if row.required else 0.0, posinf=np.inf)
+    measured = np.nan_to_num(row.values, nan=np.inf if row.required else 0.0, posinf=np.inf)
     if row.limit <= 0.0:
         # A limit of 0 has no shares: every value beyond it counts as a share above 1.
-        return np.where(row.failed | row.missed, 1.0 + known, 0.0)
-    return np.asarray(known / row.limit)
+        return np.where(row.failed | row.missed, 1.0 + measured, 0.0)
+    return np.asarray(measured / row.limit)
 
 
 def unanswered_in(found: EachRun) -> NDArray[np.bool_]:
@@ -343,12 +350,12 @@ def worst_toml(machine: Machine, worst: Worst, folder: Path, by: str) -> str:
     by
         The verb that found the machine.
     """
-    made = with_numbers(machine, worst.numbers)
+    worst_machine = with_numbers(machine, worst.numbers)
     numbers: dict[str, tuple[float, str]] = {}
     for path, value in worst.numbers.items():
         if fnmatchcase(path, _COUNTS):
             axis = path.split(".")[1]
-            weights = load_by_counts(made, axis)
+            weights = load_by_counts(worst_machine, axis)
             numbers |= {f"axes.{axis}.load.{body}": (q.si, q.unit) for body, q in weights.items()}
         else:
             numbers[path] = value, number_at(machine, path).unit

@@ -153,31 +153,33 @@ class WorstSearch:
     def add(self, parts: FloatArray, found: EachRun) -> None:
         """Add machines at (k, n) ``parts`` that were judged elsewhere."""
         shares = row_shares(found)
-        at = len(self._bad)
-        for k, one in enumerate(parts):
-            self._known.setdefault(_key(one), at + k)
+        first_index = len(self._bad)
+        for k, machine_parts in enumerate(parts):
+            self._known.setdefault(_key(machine_parts), first_index + k)
         self._parts.append(parts)
         self._found.append(found)
-        self._shares = shares if not at else np.concatenate([self._shares, shares], axis=1)
+        self._shares = shares if not first_index else np.concatenate([self._shares, shares], axis=1)
         self._bad = np.concatenate([self._bad, ~found.passed])
 
     def draw(self, parts: FloatArray) -> None:
         """Judge drawn machines at (k, n) ``parts``."""
-        at = len(self._bad)
+        first_index = len(self._bad)
         self.add(parts, self._within.judged(parts, self.done))
-        self.drawn = np.concatenate([self.drawn, np.arange(at, len(self._bad))])
+        self.drawn = np.concatenate([self.drawn, np.arange(first_index, len(self._bad))])
 
     def tried(self, parts: FloatArray) -> IntArray:
         """Judge the new machines among (k, n) ``parts``; return the (k,) indices of all of them."""
-        fresh: dict[bytes, FloatArray] = {}
-        for one in parts:
-            if (key := _key(one)) not in self._known:
-                fresh.setdefault(key, one)
-        if fresh:
-            some = np.stack(list(fresh.values()))
-            self.searched += len(some)
-            self.add(some, self._within.judged(some, self.done))
-        return np.array([self._known[_key(one)] for one in parts], dtype=np.int64)
+        new_parts: dict[bytes, FloatArray] = {}
+        for machine_parts in parts:
+            if (key := _key(machine_parts)) not in self._known:
+                new_parts.setdefault(key, machine_parts)
+        if new_parts:
+            to_judge = np.stack(list(new_parts.values()))
+            self.searched += len(to_judge)
+            self.add(to_judge, self._within.judged(to_judge, self.done))
+        return np.array(
+            [self._known[_key(machine_parts)] for machine_parts in parts], dtype=np.int64
+        )
 
     def worst(self) -> int:
         """Return the index of the worst machine; machines out of specification come first."""
@@ -193,21 +195,23 @@ class WorstSearch:
         order = self._in_order()
         if not self._within.together or self.ended:
             return int(order[0])
-        most = max(self._scaled(_CONTENDERS), _LEAST_CONTENDERS)
-        some = self._tell_apart(order.tolist(), most, _TELLS, self._moving)
-        found = self._within.in_days(self.parts[some], days)
+        contender_count = max(self._scaled(_CONTENDERS), _LEAST_CONTENDERS)
+        contenders = self._tell_apart(order.tolist(), contender_count, _TELLS, self._moving)
+        results = self._within.in_days(self.parts[contenders], days)
         if self.done is not None:
-            self.done(found.runs)
-        bad = ~found.passed.reshape(len(some), -1)
-        hard = np.where(bad, row_shares(found).max(axis=0).reshape(bad.shape), 0.0)
-        worst = np.maximum(hard, shares_of(found)[0].reshape(bad.shape)).max(axis=1)
-        return some[int(np.lexsort((-np.minimum(worst, 1e9), ~bad.any(axis=1)))[0])]
+            self.done(results.runs)
+        failed = ~results.passed.reshape(len(contenders), -1)
+        failed_shares = np.where(failed, row_shares(results).max(axis=0).reshape(failed.shape), 0.0)
+        worst_shares = np.maximum(failed_shares, shares_of(results)[0].reshape(failed.shape)).max(
+            axis=1
+        )
+        return contenders[int(np.lexsort((-np.minimum(worst_shares, 1e9), ~failed.any(axis=1)))[0])]
 
     def _in_order(self) -> IntArray:
         """Return the indices of all machines, the worst first."""
         shares, _ = shares_of(self.found)
-        hard = np.where(self._bad, self._shares.max(axis=0, initial=0.0), shares)
-        return np.lexsort((-np.minimum(hard, 1e9), ~self._bad))
+        ranked_shares = np.where(self._bad, self._shares.max(axis=0, initial=0.0), shares)
+        return np.lexsort((-np.minimum(ranked_shares, 1e9), ~self._bad))
 
     def _tell_apart(
         self, order: Sequence[int], most: int, least: int, numbers: IntArray
@@ -217,13 +221,13 @@ class WorstSearch:
         The signs of the parts of any two of them differ in at least ``least`` of ``numbers``.
         """
         signs = np.sign(self.parts[:, numbers] if len(numbers) else self.parts)
-        found: list[int] = []
-        for at in order:
-            if all((signs[at] != signs[known]).sum() >= least for known in found):
-                found.append(at)
-                if len(found) >= most:
+        chosen: list[int] = []
+        for index in order:
+            if all((signs[index] != signs[earlier]).sum() >= least for earlier in chosen):
+                chosen.append(index)
+                if len(chosen) >= most:
                     break
-        return found
+        return chosen
 
     def _scaled(self, count: int) -> int:
         """Return a number of machines, scaled down in proportion to the size of this search."""
@@ -258,82 +262,97 @@ class WorstSearch:
         return [int(row) for row in rows[worst >= _NEAR * worst[0]]]
 
     def _ends(self) -> None:
-        ends, single = self._within.ends, self._within.singles
-        at = self.tried(np.concatenate([np.zeros((1, len(ends))), single]))
-        own, low, high = (_clipped(self._shares[:, k]) for k in (at[:1], at[1::2], at[2::2]))
-        effect = np.maximum(np.abs(low - own), np.abs(high - own))
-        self._slopes = np.where(effect > _MATTERS, np.where(high >= low, 1.0, -1.0), 0.0)
+        ends, singles = self._within.ends, self._within.singles
+        indices = self.tried(np.concatenate([np.zeros((1, len(ends))), singles]))
+        nominal_shares, low_shares, high_shares = (
+            _clipped(self._shares[:, k]) for k in (indices[:1], indices[1::2], indices[2::2])
+        )
+        effect = np.maximum(
+            np.abs(low_shares - nominal_shares), np.abs(high_shares - nominal_shares)
+        )
+        self._slopes = np.where(
+            effect > _MATTERS, np.where(high_shares >= low_shares, 1.0, -1.0), 0.0
+        )
         # A number without effect on a share may still have one at a corner: keep every number that
         # changes a value.
-        values = np.stack([row.values for row in self.found.rows if not row.of_plan])[:, at]
+        values = np.stack([row.values for row in self.found.rows if not row.of_plan])[:, indices]
         values = np.nan_to_num(values, nan=-1.0, posinf=1e300)
-        moved = np.abs(values[:, 1:] - values[:, :1]) > _SAME * (1.0 + np.abs(values[:, :1]))
-        self._moving = np.flatnonzero(moved.any(axis=0).reshape(-1, 2).any(axis=1))
+        has_changed = np.abs(values[:, 1:] - values[:, :1]) > _SAME * (1.0 + np.abs(values[:, :1]))
+        self._moving = np.flatnonzero(has_changed.any(axis=0).reshape(-1, 2).any(axis=1))
 
     def _fitted_corners(self) -> None:
         assert self._slopes is not None
         ends, slopes = self._within.ends, self._slopes
-        matter = slopes != 0.0
-        tables = []
+        has_effect = slopes != 0.0
+        corner_tables = []
         parts, shares = self.parts, _clipped(self._shares)
         if len(parts) > 2 * parts.shape[1]:
             design = np.concatenate([np.ones((len(parts), 1)), parts], axis=1)
             fit = np.linalg.lstsq(design, shares.T, rcond=None)[0][1:].T
             signs = np.where(np.abs(fit) > _MATTERS, np.sign(fit), slopes)
-            tables.append(np.where(matter, signs, 0.0) * ends)
+            corner_tables.append(np.where(has_effect, signs, 0.0) * ends)
         if self._within.together:
-            worst = np.argsort(-shares, axis=1, kind="stable")
-            for place in range(min(2, len(parts))):
-                near = np.where(parts[worst[:, place]] < 0.0, -1.0, 1.0)
-                tables.append(np.where(matter, near, 0.0) * ends)
-        if tables:
+            order_by_share = np.argsort(-shares, axis=1, kind="stable")
+            for rank in range(min(2, len(parts))):
+                worst_signs = np.where(parts[order_by_share[:, rank]] < 0.0, -1.0, 1.0)
+                corner_tables.append(np.where(has_effect, worst_signs, 0.0) * ends)
+        if corner_tables:
             order = self._worst_rows()
-            self._try_some(np.concatenate([table[order] for table in tables]))
+            self._try_some(np.concatenate([corner_table[order] for corner_table in corner_tables]))
 
     def _drawn_corners(self, rows: IntArray) -> FloatArray:
         """Return drawn corners; half of them mostly follow the slopes of ``rows``, in turn."""
         assert self._slopes is not None
         ends = self._within.ends
         random = self._random
-        count, lean = self._scaled(_CORNERS), self._scaled(_LEANING)
-        alike = np.where(random.random((count, len(ends))) < 0.5, -1.0, 1.0)
-        follow = random.random((lean, len(ends))) < _LEAN
-        of_rows = self._slopes[np.resize(rows, lean)]
-        leaning = np.where(follow, of_rows, -of_rows)
-        other = np.where(random.random(leaning.shape) < 0.5, -1.0, 1.0)
-        leaning = np.where(leaning == 0.0, other, leaning)
+        count, leaning_count = self._scaled(_CORNERS), self._scaled(_LEANING)
+        even_corners = np.where(random.random((count, len(ends))) < 0.5, -1.0, 1.0)
+        follows_slope = random.random((leaning_count, len(ends))) < _LEAN
+        slopes_of_rows = self._slopes[np.resize(rows, leaning_count)]
+        leaning = np.where(follows_slope, slopes_of_rows, -slopes_of_rows)
+        random_signs = np.where(random.random(leaning.shape) < 0.5, -1.0, 1.0)
+        leaning = np.where(leaning == 0.0, random_signs, leaning)
         # A number without any effect keeps the value of the file.
-        return np.concatenate([alike, leaning]) * ends * np.isin(np.arange(len(ends)), self._moving)
+        return (
+            np.concatenate([even_corners, leaning])
+            * ends
+            * np.isin(np.arange(len(ends)), self._moving)
+        )
 
     def _try_some(self, parts: FloatArray) -> IntArray:
         """Judge as many of (k, n) ``parts`` as may still be tried; return their indices."""
-        before = self.searched
-        at = self.tried(parts[: max(self._left, 0)])
-        self._left -= self.searched - before
-        return at
+        searched_before = self.searched
+        indices = self.tried(parts[: max(self._left, 0)])
+        self._left -= self.searched - searched_before
+        return indices
 
     def _climbs(self) -> None:
         """Climb from many machines, from the ends of climbs, and at last inside the tolerances."""
-        queue, kicks = self._starts(), 0
+        queue, kick_count = self._starts(), 0
         climbs: list[_Climb] = []
         ended: list[_Climb] = []
-        kept = int(_INSIDE * self.most) if self._within.together else 0
-        while self._left > kept and not self.ended:
+        reserved = int(_INSIDE * self.most) if self._within.together else 0
+        while self._left > reserved and not self.ended:
             while len(climbs) < _AT_ONCE and queue:
                 climbs.append(queue.pop(0))
-            if len(climbs) < _AT_ONCE and ended and kicks < _MOST_KICKS and self._within.together:
-                more = self._kicked(ended, _AT_ONCE - len(climbs))
-                kicks += len(more)
-                climbs += more
+            if (
+                len(climbs) < _AT_ONCE
+                and ended
+                and kick_count < _MOST_KICKS
+                and self._within.together
+            ):
+                kicked = self._kicked(ended, _AT_ONCE - len(climbs))
+                kick_count += len(kicked)
+                climbs += kicked
             if not climbs:
                 break
-            short = {one for one in climbs if self._idle.get(one)}
-            climbs, stuck = self._round(climbs, self._flips)
-            ended += [one for one in stuck if one not in short]
+            with_idle = {climb for climb in climbs if self._idle.get(climb)}
+            climbs, ended_now = self._round(climbs, self._flips)
+            ended += [climb for climb in ended_now if climb not in with_idle]
             # A number without effect where a climb began may have one where the climb ends.
-            again = [one for one in stuck if one in short]
-            self._idle.update(dict.fromkeys(again, frozenset()))
-            climbs += again
+            restarted = [climb for climb in ended_now if climb in with_idle]
+            self._idle.update(dict.fromkeys(restarted, frozenset()))
+            climbs += restarted
         inner = self._best([*ended, *climbs])[:_INNER]
         while inner and self._left > 0 and not self.ended:
             inner, _ = self._round(inner, self._inside)
@@ -348,13 +367,21 @@ class WorstSearch:
             row = int(self._worst_rows()[0])
             return [(row, int(np.argmax(_clipped(self._shares[row]))))]
         rows = self._near_rows()
-        of_rows = []
+        starts_by_row = []
         for row in rows:
             order = np.argsort(-_clipped(self._shares[row]), kind="stable").tolist()
             # Machines that differ only in numbers without effect on this row lead to the same end.
-            own = np.flatnonzero(self._slopes[row])
-            of_rows.append([(row, at) for at in self._tell_apart(order, _STARTS, _APART, own)])
-        first, others = [some[0] for some in of_rows], [one for some in of_rows for one in some[1:]]
+            effective = np.flatnonzero(self._slopes[row])
+            starts_by_row.append(
+                [
+                    (row, machine_index)
+                    for machine_index in self._tell_apart(order, _STARTS, _APART, effective)
+                ]
+            )
+        first, others = (
+            [row_starts[0] for row_starts in starts_by_row],
+            [start for row_starts in starts_by_row for start in row_starts[1:]],
+        )
         return [*first, *others][:_STARTS]
 
     def _best(self, climbs: Sequence[_Climb]) -> list[_Climb]:
@@ -365,38 +392,50 @@ class WorstSearch:
     def _kicked(self, ended: Sequence[_Climb], count: int) -> list[_Climb]:
         """Return climbs that start at the worst ends of climbs, with a few numbers changed."""
         best, parts = self._best(ended)[:_KICKED], []
-        chosen = [best[int(k)] for k in self._random.integers(0, len(best), count)]
-        for row, at in chosen:
-            matter = np.array(sorted({*self._moving.tolist()} - self._idle.get((row, at), set())))
-            one = self.parts[at].copy()
-            if len(matter):
-                some = self._random.choice(matter, min(_KICK, len(matter)), replace=False)
-                one[some] = np.where(one[some] > 0.0, -1.0, 1.0) * self._within.ends[some]
-            parts.append(one)
-        numbers = self._try_some(np.stack(parts)).tolist()
-        return [(row, at) for (row, _), at in zip(chosen, numbers, strict=False)]
+        kicked_ends = [best[int(k)] for k in self._random.integers(0, len(best), count)]
+        for row, machine_index in kicked_ends:
+            effective = np.array(
+                sorted({*self._moving.tolist()} - self._idle.get((row, machine_index), set()))
+            )
+            machine_parts = self.parts[machine_index].copy()
+            if len(effective):
+                changed_numbers = self._random.choice(
+                    effective, min(_KICK, len(effective)), replace=False
+                )
+                machine_parts[changed_numbers] = (
+                    np.where(machine_parts[changed_numbers] > 0.0, -1.0, 1.0)
+                    * self._within.ends[changed_numbers]
+                )
+            parts.append(machine_parts)
+        indices = self._try_some(np.stack(parts)).tolist()
+        return [
+            (row, machine_index)
+            for (row, _), machine_index in zip(kicked_ends, indices, strict=False)
+        ]
 
     def _flips(self, climb: _Climb) -> list[FloatArray]:
         """Return the machines of a climb's next step: each has one number moved to another end."""
-        found, (_, at) = [], climb
+        machines, (_, machine_index) = [], climb
         for k in self._told(climb):
-            far = self._within.ends[k]
-            for end in (far, -far):
-                one = self.parts[at].copy()
-                if one[k] != end and (one[k] != -end or abs(one[k]) == far):
-                    one[k] = end
-                    found.append(one)
-        return found
+            farthest = self._within.ends[k]
+            for end in (farthest, -farthest):
+                machine_parts = self.parts[machine_index].copy()
+                if machine_parts[k] != end and (
+                    machine_parts[k] != -end or abs(machine_parts[k]) == farthest
+                ):
+                    machine_parts[k] = end
+                    machines.append(machine_parts)
+        return machines
 
     def _inside(self, climb: _Climb) -> list[FloatArray]:
         """Return the machines with one number at its nominal value, or half-way to it."""
-        found, (_, at) = [], climb
+        machines, (_, machine_index) = [], climb
         for k in self._told(climb):
-            for part in (0.0, 0.5):
-                one = self.parts[at].copy()
-                one[k] *= part
-                found.append(one)
-        return found
+            for factor in (0.0, 0.5):
+                machine_parts = self.parts[machine_index].copy()
+                machine_parts[k] *= factor
+                machines.append(machine_parts)
+        return machines
 
     def _told(self, climb: _Climb) -> list[int]:
         """Return the numbers that a climb still tries: those not known to have no effect."""
@@ -407,62 +446,68 @@ class WorstSearch:
         self, climbs: Sequence[_Climb], moves: Callable[[_Climb], list[FloatArray]]
     ) -> tuple[list[_Climb], list[_Climb]]:
         """Take one step of every climb; return the climbs whose machine got worse, and the rest."""
-        tried = [moves(one) for one in climbs]
+        trial_parts = [moves(one) for one in climbs]
         count = len(climbs)
-        share = max(self._left // count, 1)
-        tried = [some[:share] for some in tried]
-        flat = [one for some in tried for one in some]
-        if not flat:
+        per_climb = max(self._left // count, 1)
+        trial_parts = [some_parts[:per_climb] for some_parts in trial_parts]
+        all_parts = [one for some_parts in trial_parts for one in some_parts]
+        if not all_parts:
             return [], []
-        numbers = iter(self._try_some(np.stack(flat)).tolist())
-        together, worse = [], []
-        for (row, at), some in zip(climbs, tried, strict=True):
-            own = _clipped(self._shares[row])[at]
-            got = [(k, n) for k, n in zip(some, numbers, strict=False)]
+        indices = iter(self._try_some(np.stack(all_parts)).tolist())
+        summed_parts, better_by_climb = [], []
+        for (row, machine_index), some_parts in zip(climbs, trial_parts, strict=True):
+            own_share = _clipped(self._shares[row])[machine_index]
+            judged_here = [(k, n) for k, n in zip(some_parts, indices, strict=False)]
             gains = sorted(
-                ((float(_clipped(self._shares[row])[n]) - own, n) for _, n in got),
+                ((float(_clipped(self._shares[row])[n]) - own_share, n) for _, n in judged_here),
                 key=lambda one: (-round(one[0], 9), one[1]),
             )
             better = [n for gain, n in gains if gain > _BETTER]
-            idle = self._without_effect(at, gains)
-            self._idle[row, at] = self._idle.get((row, at), frozenset()) | idle
-            worse.append(better)
-            sums = []
-            for most in dict.fromkeys((len(better), (len(better) + 1) // 2, 2)):
-                if 1 < most <= len(better):
-                    sums.append(self._summed(at, better[:most]))
-            together.append(sums)
-        flat = [one for sums in together for one in sums]
-        numbers = iter(self._try_some(np.stack(flat)).tolist() if flat and self._left > 0 else [])
-        on, stuck = [], []
-        for (row, at), better, sums in zip(climbs, worse, together, strict=True):
-            ends = [*better, *(n for _, n in zip(sums, numbers, strict=False))]
+            idle = self._without_effect(machine_index, gains)
+            self._idle[row, machine_index] = (
+                self._idle.get((row, machine_index), frozenset()) | idle
+            )
+            better_by_climb.append(better)
+            summed = []
+            for change_count in dict.fromkeys((len(better), (len(better) + 1) // 2, 2)):
+                if 1 < change_count <= len(better):
+                    summed.append(self._summed(machine_index, better[:change_count]))
+            summed_parts.append(summed)
+        all_parts = [one for summed in summed_parts for one in summed]
+        indices = iter(
+            self._try_some(np.stack(all_parts)).tolist() if all_parts and self._left > 0 else []
+        )
+        continued, ended = [], []
+        for (row, machine_index), better, summed in zip(
+            climbs, better_by_climb, summed_parts, strict=True
+        ):
+            end_indices = [*better, *(n for _, n in zip(summed, indices, strict=False))]
             if not better:
-                stuck.append((row, at))
+                ended.append((row, machine_index))
                 continue
-            values = np.round(_clipped(self._shares[row])[ends], 9)
-            on.append((row, ends[int(np.argmax(values))]))
-            self._idle.setdefault(on[-1], self._idle[row, at])
-        return list(dict.fromkeys(on)), stuck
+            end_shares = np.round(_clipped(self._shares[row])[end_indices], 9)
+            continued.append((row, end_indices[int(np.argmax(end_shares))]))
+            self._idle.setdefault(continued[-1], self._idle[row, machine_index])
+        return list(dict.fromkeys(continued)), ended
 
-    def _without_effect(self, at: int, gains: Sequence[tuple[float, int]]) -> frozenset[int]:
-        """Return the numbers whose change at the machine ``at`` had no effect on the criterion."""
+    def _without_effect(self, start: int, gains: Sequence[tuple[float, int]]) -> frozenset[int]:
+        """Return the numbers whose change at machine ``start`` had no effect on the criterion."""
         parts = self.parts
         idle: set[int] = set()
-        matter: set[int] = set()
+        effective: set[int] = set()
         for gain, n in gains:
-            changed = np.flatnonzero(parts[n] != parts[at]).tolist()
-            (idle if abs(gain) <= _MATTERS else matter).update(changed)
-        return frozenset(idle - matter)
+            changed = np.flatnonzero(parts[n] != parts[start]).tolist()
+            (idle if abs(gain) <= _MATTERS else effective).update(changed)
+        return frozenset(idle - effective)
 
-    def _summed(self, at: int, better: Sequence[int]) -> FloatArray:
+    def _summed(self, start: int, better: Sequence[int]) -> FloatArray:
         """Return a machine with the changes of several machines; the larger gain has precedence."""
         parts = self.parts
-        found: FloatArray = parts[at].copy()
-        for number in reversed(better):
-            changed = parts[number] != parts[at]
-            found[changed] = parts[number][changed]
-        return found
+        summed: FloatArray = parts[start].copy()
+        for index in reversed(better):
+            changed = parts[index] != parts[start]
+            summed[changed] = parts[index][changed]
+        return summed
 
 
 def _key(parts: FloatArray) -> bytes:

@@ -214,7 +214,7 @@ def axis_figures(
     a: AxisAnalysis, measured: MeasuredResponse | None
 ) -> dict[str, tuple[Figure, str]]:
     """Return the figures of an axis with a loop, each with its caption, by its name."""
-    found = {
+    figures = {
         "bode": (_bode(a), "Open loop, sampled and continuous; crossovers marked."),
         "plant": (
             _plant(a, measured),
@@ -225,43 +225,43 @@ def axis_figures(
         "nichols": (_nichols(a), "Open loop, sampled; crosses are the critical points."),
     }
     if a.continuous is not None:
-        found["locus"] = (
+        figures["locus"] = (
             _locus(a),
             "Closed-loop poles of the continuous model over the gain, dead time exact.",
         )
     if a.steps:
-        found["steps"] = (_steps(a), "Unit steps of the sampled loop.")
-    return found
+        figures["steps"] = (_steps(a), "Unit steps of the sampled loop.")
+    return figures
 
 
 def _bode(a: AxisAnalysis) -> Figure:
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(7.2, 5.4))
-    size, turn = figure.subplots(2, 1, sharex=True)
-    for data in reversed(_models(a)):
-        style = PLANNED if data is a.continuous else ACTUAL
-        hertz = data.grid_rad_s * HERTZ
-        size.semilogx(hertz, _db(data.response), label=data.model, **style)
-        turn.semilogx(hertz, np.degrees(np.unwrap(np.angle(data.response))), **style)
+    magnitude_panel, phase_panel = figure.subplots(2, 1, sharex=True)
+    for loop in reversed(_models(a)):
+        style = PLANNED if loop is a.continuous else ACTUAL
+        hertz = loop.grid_rad_s * HERTZ
+        magnitude_panel.semilogx(hertz, _db(loop.response), label=loop.model, **style)
+        phase_panel.semilogx(hertz, np.degrees(np.unwrap(np.angle(loop.response))), **style)
     for number, crossover in enumerate(a.sampled.margins.gain_crossovers):
         label = "" if number else "gain crossover: phase margin"
-        turn.axvline(crossover.omega_rad_s * HERTZ, label=label, **LIMIT)
+        phase_panel.axvline(crossover.omega_rad_s * HERTZ, label=label, **LIMIT)
     for crossing in a.sampled.margins.phase_crossovers[:1]:
         label = "phase crossover: gain margin"
-        size.axvline(crossing.omega_rad_s * HERTZ, label=label, **LIMIT)
-    size.axhline(0.0, color="black", lw=0.6)
-    turn.axhline(-180.0, color="black", lw=0.6)
-    size.set_ylim(-80, None)
-    turn.set_ylim(-720, None)
-    size.set_xlim(0.1, a.sampled.grid_rad_s[-1] * HERTZ)
-    size.set_ylabel("|L| [dB]")
-    turn.set_ylabel("phase [deg]")
-    turn.set_xlabel("frequency [Hz]")
-    size.set_title(f"Axis {a.axis}: Bode plot of the open loop")
-    size.legend(loc="lower left")
+        magnitude_panel.axvline(crossing.omega_rad_s * HERTZ, label=label, **LIMIT)
+    magnitude_panel.axhline(0.0, color="black", lw=0.6)
+    phase_panel.axhline(-180.0, color="black", lw=0.6)
+    magnitude_panel.set_ylim(-80, None)
+    phase_panel.set_ylim(-720, None)
+    magnitude_panel.set_xlim(0.1, a.sampled.grid_rad_s[-1] * HERTZ)
+    magnitude_panel.set_ylabel("|L| [dB]")
+    phase_panel.set_ylabel("phase [deg]")
+    phase_panel.set_xlabel("frequency [Hz]")
+    magnitude_panel.set_title(f"Axis {a.axis}: Bode plot of the open loop")
+    magnitude_panel.legend(loc="lower left")
     if a.sampled.margins.gain_crossovers:
-        turn.legend(loc="lower left")
+        phase_panel.legend(loc="lower left")
     return figure
 
 
@@ -269,20 +269,22 @@ def _plant(a: AxisAnalysis, measured: MeasuredResponse | None) -> Figure:
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(7.2, 5.4))
-    size, turn = figure.subplots(2, 1, sharex=True)
+    magnitude_panel, phase_panel = figure.subplots(2, 1, sharex=True)
     hertz = np.geomspace(1.0, 200.0, 800)
     magnitude, phase = speed_response(a.loop, 2 * np.pi * hertz)
-    size.semilogx(hertz, magnitude, label="model", **ACTUAL)
-    turn.semilogx(hertz, phase, **ACTUAL)
+    magnitude_panel.semilogx(hertz, magnitude, label="model", **ACTUAL)
+    phase_panel.semilogx(hertz, phase, **ACTUAL)
     if measured is not None:
         shown = {**PROGRAMMED, "markersize": 2.4}
-        size.semilogx(measured.frequency_hz, measured.magnitude_db, label="measured", **shown)
-        turn.semilogx(measured.frequency_hz, measured.phase_deg, **shown)
-    size.set_ylabel("speed per volt [dB]")
-    turn.set_ylabel("phase [deg]")
-    turn.set_xlabel("frequency [Hz]")
-    size.set_title(f"Axis {a.axis}: from the controller's volts to speed at the sensor")
-    size.legend(loc="lower left")
+        magnitude_panel.semilogx(
+            measured.frequency_hz, measured.magnitude_db, label="measured", **shown
+        )
+        phase_panel.semilogx(measured.frequency_hz, measured.phase_deg, **shown)
+    magnitude_panel.set_ylabel("speed per volt [dB]")
+    phase_panel.set_ylabel("phase [deg]")
+    phase_panel.set_xlabel("frequency [Hz]")
+    magnitude_panel.set_title(f"Axis {a.axis}: from the controller's volts to speed at the sensor")
+    magnitude_panel.legend(loc="lower left")
     return figure
 
 
@@ -296,8 +298,8 @@ def _nyquist(a: AxisAnalysis) -> Figure:
     axes.plot(response.real, -response.imag, label="mirrored", **PLANNED)
     circle = np.exp(1j * np.linspace(0, 2 * np.pi, 300))
     axes.plot(circle.real, circle.imag, color="0.6", lw=0.7)
-    near = -1 + a.sampled.margins.modulus_margin * circle
-    axes.plot(near.real, near.imag, label="largest free circle about -1", **LIMIT)
+    free_circle = -1 + a.sampled.margins.modulus_margin * circle
+    axes.plot(free_circle.real, free_circle.imag, label="largest free circle about -1", **LIMIT)
     axes.plot([-1], [0], **WORST)
     axes.set_xlim(-_SHOWN_RADIUS, _SHOWN_RADIUS)
     axes.set_ylim(-_SHOWN_RADIUS, _SHOWN_RADIUS)
@@ -337,8 +339,10 @@ def _level_of_closed_loop(axes: Axes, level_db: float) -> None:
     phase -= 360.0 * np.ceil(phase[0] / 360.0)
     for shift in (0.0, -360.0):
         axes.plot(phase + shift, _db(L), color="0.75", lw=0.6, zorder=1)
-    at = int(np.argmax(phase))
-    axes.annotate(f"{level_db:g}", (phase[at], _db(L)[at]), fontsize=6, color="0.4")
+    label_index = int(np.argmax(phase))
+    axes.annotate(
+        f"{level_db:g}", (phase[label_index], _db(L)[label_index]), fontsize=6, color="0.4"
+    )
 
 
 def _locus(a: AxisAnalysis) -> Figure:
@@ -347,8 +351,10 @@ def _locus(a: AxisAnalysis) -> Figure:
     locus = root_locus(a.loop)
     figure = Figure(figsize=(6.4, 5.0))
     axes = figure.subplots()
-    every = np.concatenate(locus.poles)
-    axes.plot(every.real, every.imag, ".", color="0.55", ms=2.0, label="poles as the gain rises")
+    all_poles = np.concatenate(locus.poles)
+    axes.plot(
+        all_poles.real, all_poles.imag, ".", color="0.55", ms=2.0, label="poles as the gain rises"
+    )
     axes.plot(locus.now.real, locus.now.imag, "s", color="#0072B2", ms=4.5, label="now")
     axes.plot(locus.open_poles.real, locus.open_poles.imag, "x", color="black", label="open poles")
     axes.plot(locus.open_zeros.real, locus.open_zeros.imag, "o", **_HOLLOW, label="open zeros")
@@ -357,9 +363,9 @@ def _locus(a: AxisAnalysis) -> Figure:
         axes.plot([0, 0], [omega, -omega], label=label, **WORST)
     axes.axvline(0.0, color="black", lw=0.6)
     # The figure shows the poles of the load; the faster poles of the dead time lie outside it.
-    reach = 1.25 * max(float(np.abs(a.loop.plant.poles()).max()), 50.0)
-    axes.set_xlim(-reach, 0.4 * reach)
-    axes.set_ylim(-reach, reach)
+    half_width = 1.25 * max(float(np.abs(a.loop.plant.poles()).max()), 50.0)
+    axes.set_xlim(-half_width, 0.4 * half_width)
+    axes.set_ylim(-half_width, half_width)
     axes.set_xlabel("real part [1/s]")
     axes.set_ylabel("imaginary part [rad/s]")
     axes.set_title(f"Axis {a.axis}: root locus")
@@ -375,13 +381,13 @@ def _steps(a: AxisAnalysis) -> Figure:
 
     figure = Figure(figsize=(7.2, 3.4))
     axes = figure.subplots()
-    last = 0.0
+    shown_s = 0.0
     for (name, step), style in zip(a.steps.items(), (PLANNED, ACTUAL), strict=False):
-        last = max(last, 1.6 * step.settling_s, 4.0 * step.rise_s)
+        shown_s = max(shown_s, 1.6 * step.settling_s, 4.0 * step.rise_s)
         axes.plot(step.time_s * 1e3, step.value, label=name, **style)
     axes.axhline(1.02, **LIMIT, label="2 %")
     axes.axhline(0.98, **LIMIT)
-    axes.set_xlim(0, last * 1e3)
+    axes.set_xlim(0, shown_s * 1e3)
     axes.set_xlabel("time [ms]")
     axes.set_ylabel("position per unit step")
     axes.set_title(f"Axis {a.axis}: step response")

@@ -87,18 +87,18 @@ def _extent(scene: Scene) -> tuple[float, float, float, float]:
     for frame in range(0, scene.frames, 8):
         corners.append(_placed(scene, scene.actual[:: scene.per_frame], scene.group, frame))
     points = np.vstack(corners)
-    (left, low), (right, high) = np.nanmin(points, axis=0), np.nanmax(points, axis=0)
-    edge = 0.03 * max(right - left, high - low)
-    return left - edge, right + edge, low - edge, high + edge
+    (left, bottom), (right, top) = np.nanmin(points, axis=0), np.nanmax(points, axis=0)
+    margin = 0.03 * max(right - left, top - bottom)
+    return left - margin, right + margin, bottom - margin, top + margin
 
 
 def _turned(scene: Scene, points: FloatArray, group: str, frame: int) -> FloatArray:
-    moved = scene.groups.get(group)
-    if moved is None:
+    motion = scene.groups.get(group)
+    if motion is None:
         return points
-    cos, sin = np.cos(moved.angle[frame]), np.sin(moved.angle[frame])
-    turn = np.array([[1.0, 0.0, 0.0], [0.0, cos, -sin], [0.0, sin, cos]])
-    return np.asarray(points @ turn.T + moved.shift[frame])
+    cos, sin = np.cos(motion.angle[frame]), np.sin(motion.angle[frame])
+    rotation = np.array([[1.0, 0.0, 0.0], [0.0, cos, -sin], [0.0, sin, cos]])
+    return np.asarray(points @ rotation.T + motion.shift[frame])
 
 
 def _placed(scene: Scene, points: FloatArray, group: str, frame: int) -> FloatArray:
@@ -110,8 +110,8 @@ def _hidden(scene: Scene, points: FloatArray, frame: int) -> NDArray[np.bool_]:
     """Return (n,) whether each point of the path is on the far side of a turning mandrel."""
     if scene.group == FIXED or not scene.groups[scene.group].angle.any():
         return np.zeros(len(points), dtype=bool)
-    outward = _turned(scene, points, scene.group, frame) * np.array([0.0, 1.0, 1.0])
-    return np.asarray(outward @ scene.towards < 0.0, dtype=np.bool_)
+    radial = _turned(scene, points, scene.group, frame) * np.array([0.0, 1.0, 1.0])
+    return np.asarray(radial @ scene.towards < 0.0, dtype=np.bool_)
 
 
 def _widest(scene: Scene) -> float:
@@ -146,36 +146,36 @@ class _Picture:
         # The whole planned path is drawn in every frame. On a mandrel its far side is hidden.
         last = frame * scene.per_frame + 1
         planned = _placed(scene, scene.planned, scene.group, frame)
-        unseen = _hidden(scene, scene.planned, frame)
+        is_hidden = _hidden(scene, scene.planned, frame)
         self.artists += self.machine.plot(
-            *np.where(unseen[:, None], np.nan, planned).T,
+            *np.where(is_hidden[:, None], np.nan, planned).T,
             **(PLANNED | {"linewidth": 0.9, "zorder": 3}),
         )
-        done = _placed(scene, scene.actual[:last], scene.group, frame)
-        pieces = np.stack([done[:-1], done[1:]], axis=1)
-        far = _hidden(scene, scene.actual[:last], frame)[1:]
+        travelled = _placed(scene, scene.actual[:last], scene.group, frame)
+        segments = np.stack([travelled[:-1], travelled[1:]], axis=1)
+        far_side = _hidden(scene, scene.actual[:last], frame)[1:]
         self.artists.append(
             self.machine.add_collection(
-                LineCollection(list(pieces[far]), colors=_BEHIND, linewidths=0.7, zorder=1)
+                LineCollection(list(segments[far_side]), colors=_BEHIND, linewidths=0.7, zorder=1)
             )
         )
-        share = _shares(scene)[1:last][~far]
+        share = _shares(scene)[1:last][~far_side]
         path = LineCollection(
-            list(pieces[~far]), linewidths=(_THIN + (_THICK - _THIN) * share).tolist(),
+            list(segments[~far_side]), linewidths=(_THIN + (_THICK - _THIN) * share).tolist(),
             cmap=_shades(), capstyle="round", zorder=4,
         )  # fmt: skip
         path.set_array(share)
         path.set_clim(0.0, 1.0)
         self.artists.append(self.machine.add_collection(path))
-        now = float(scene.time_s[frame])
-        said = f"{now:.2f} s"
+        now_s = float(scene.time_s[frame])
+        caption = f"{now_s:.2f} s"
         if len(scene.error):
-            said += f"   {scene.error_words} {scene.error[last - 1]:.2f} {scene.unit}"
+            caption += f"   {scene.error_words} {scene.error[last - 1]:.2f} {scene.unit}"
         self.artists.append(
-            self.machine.text(0.0, 0.01, said, transform=self.machine.transAxes, fontsize=9)
+            self.machine.text(0.0, 0.01, caption, transform=self.machine.transAxes, fontsize=9)
         )
         if self.graph is not None:
-            self.artists.append(self.graph.axvline(now, color="black", linewidth=1.2))
+            self.artists.append(self.graph.axvline(now_s, color="black", linewidth=1.2))
 
 
 def _shares(scene: Scene) -> FloatArray:
@@ -211,9 +211,9 @@ def _picture(scene: Scene) -> _Picture:
         machine = figure.subplots()
     title = "\n".join([f"{scene.title}, {_pace(scene)}", *scene.facts])
     machine.set_title(title, fontsize=9, wrap=True)
-    left, right, low, high = _extent(scene)
+    left, right, bottom, top = _extent(scene)
     machine.set_xlim(left, right)
-    machine.set_ylim(low, high)
+    machine.set_ylim(bottom, top)
     machine.set_aspect("equal")
     machine.axis("off")
     for name, dashed in scene.labels:
@@ -251,16 +251,16 @@ def _write_with(writer: Any, scene: Scene, file: Path, progress: Progress | None
 
     with figure_style(), TemporaryDirectory(prefix="threadline-film-") as folder:
         picture = _picture(scene)
-        made = Path(folder) / f"film{file.suffix.lower()}"
+        film_file = Path(folder) / f"film{file.suffix.lower()}"
         picture.draw(0)
         picture.figure.get_layout_engine().execute(picture.figure)  # type: ignore[union-attr]
         picture.figure.set_layout_engine(None)
-        with writer.saving(picture.figure, str(made), _DPI):
+        with writer.saving(picture.figure, str(film_file), _DPI):
             for frame in _frames(scene, progress):
                 picture.draw(frame)
                 writer.grab_frame()
         with staged_file(file) as stream:
-            stream.write(made.read_bytes())
+            stream.write(film_file.read_bytes())
 
 
 def _write_gif(scene: Scene, file: Path, progress: Progress | None) -> None:
@@ -308,12 +308,12 @@ def page_data(scene: Scene) -> Mapping[str, Any]:
     return {
         "lines": [
             {
-                "p": listed(one.points),
-                "g": one.group,
-                "c": round(255 * (1 - one.grey)),
-                "w": one.width,
+                "p": listed(line.points),
+                "g": line.group,
+                "c": round(255 * (1 - line.grey)),
+                "w": line.width,
             }
-            for one in scene.lines
+            for line in scene.lines
         ],
         "groups": {
             name: {"s": listed(group.shift), "a": np.round(group.angle, 5).tolist()}

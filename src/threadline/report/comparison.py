@@ -77,20 +77,20 @@ def turning_figure(cases: list[Case], axis: str) -> Figure:
     panels = figure.subplots(len(feeds), 1, squeeze=False)[:, 0]
     point_m, sign = _outermost(cases, axis)
     for panel, feed in zip(panels, feeds, strict=True):
-        here = [case for case in cases if case[1].plan.options["feed"] == feed]
+        cases_at_feed = [case for case in cases if case[1].plan.options["feed"] == feed]
         deepest_mm = 1.0
-        for number, (_, proof, traces) in enumerate(here):
-            way_mm = sign * (traces.actual[axis] - point_m) * 1e3
-            at = int(np.argmax(way_mm))
-            near = np.abs(traces.time_s - traces.time_s[at]) <= 2.0 * _AROUND_S
-            deepest_mm = max(deepest_mm, abs(float(way_mm[at])))
+        for number, (_, proof, traces) in enumerate(cases_at_feed):
+            beyond_mm = sign * (traces.actual[axis] - point_m) * 1e3
+            extreme_index = int(np.argmax(beyond_mm))
+            is_near = np.abs(traces.time_s - traces.time_s[extreme_index]) <= 2.0 * _AROUND_S
+            deepest_mm = max(deepest_mm, abs(float(beyond_mm[extreme_index])))
             panel.plot(
-                traces.time_s[near] - traces.time_s[at],
-                way_mm[near],
+                traces.time_s[is_near] - traces.time_s[extreme_index],
+                beyond_mm[is_near],
                 label=proof.plan.motion.path.interpolation,
                 **AXES[number % len(AXES)],
             )
-        limit_m = _limit_m(here[0][1], axis)
+        limit_m = _limit_m(cases_at_feed[0][1], axis)
         if limit_m is not None:
             panel.axhline(limit_m * 1e3, label=f"limit {limit_m * 1e3:g} mm", **LIMIT)
             panel.axhline(-limit_m * 1e3, **LIMIT)
@@ -115,14 +115,14 @@ def _outermost(cases: list[Case], axis: str) -> tuple[float, float]:
     programmed = traces.vertices[:, proof.plan.motion.programmed.axes.index(axis)]
     ends = [(float(programmed.max()), 1.0), (float(programmed.min()), -1.0)]
 
-    def missed(end: tuple[float, float]) -> float:
+    def largest_error_m(end: tuple[float, float]) -> float:
         point_m, sign = end
         return max(
             abs(float((sign * (case[2].actual[axis] - point_m)).max(initial=-np.inf)))
             for case in cases
         )
 
-    return max(ends, key=missed)
+    return max(ends, key=largest_error_m)
 
 
 def _limit_m(proof: Proof, axis: str) -> float | None:
@@ -140,15 +140,15 @@ def paths_figure(cases: list[Case], first: str, second: str) -> Figure:
     figure = Figure(figsize=(7.2, _tall_in(len(feeds), 3.2)))
     panels = figure.subplots(len(feeds), 1, squeeze=False)[:, 0]
     for panel, feed in zip(panels, feeds, strict=True):
-        here = [case for case in cases if case[1].plan.options["feed"] == feed]
-        for number, (_, proof, traces) in enumerate(here):
+        cases_at_feed = [case for case in cases if case[1].plan.options["feed"] == feed]
+        for number, (_, proof, traces) in enumerate(cases_at_feed):
             panel.plot(
                 traces.actual[first] * 1e3,
                 traces.actual[second] * 1e3,
                 label=proof.plan.motion.path.interpolation,
                 **AXES[number % len(AXES)],
             )
-        _, proof, traces = here[0]
+        _, proof, traces = cases_at_feed[0]
         columns = [proof.plan.motion.trajectory.axes.index(axis) for axis in (first, second)]
         points = traces.vertices[:, columns] * 1e3
         panel.plot(points[:, 0], points[:, 1], label="programmed", **PROGRAMMED)
@@ -192,11 +192,11 @@ def write_motion_comparison(found: Comparison, folder: Path, tables: Sequence[Pr
             cases.append((label, proof, traces))
         first_figures, first_captions = overlays(cases)
         figures, captions = first_figures | figures, first_captions | captions
-        good = all(proof.verdict.passed for proof in found.proofs)
+        all_passed = all(proof.verdict.passed for proof in found.proofs)
         document = Document(
             title=f"{first.plan.job.name} on {first.plan.machine.name}: comparison",
             subtitle=first.plan.machine.title,
-            verdicts=[(closing_of_all([proof.verdict for proof in found.proofs]), good)],
+            verdicts=[(closing_of_all([proof.verdict for proof in found.proofs]), all_passed)],
             warnings=grouped(warnings_of_all(found.proofs)),
             tables=[Table(title=t, header=h, rows=r) for t, h, r in tables],
             figures=figures,
@@ -209,11 +209,11 @@ def write_motion_comparison(found: Comparison, folder: Path, tables: Sequence[Pr
 def _facts(cases: list[Case]) -> list[tuple[str, str]]:
     """Return the facts that all cases share, then the planner's facts case by case."""
     first = cases[0][1]
-    found = [*shared_facts(first, ("interpolation", "feed"))]
+    facts = [*shared_facts(first, ("interpolation", "feed"))]
     for number, (label, proof, _) in enumerate(cases, start=1):
-        said = ", ".join(f"{key} {value}" for key, value in summary_facts(proof))
-        found.append((f"case {number}", f"{label}; {said}" if said else label))
-    return found
+        fact_text = ", ".join(f"{key} {value}" for key, value in summary_facts(proof))
+        facts.append((f"case {number}", f"{label}; {fact_text}" if fact_text else label))
+    return facts
 
 
 def _figures(proof: Proof, traces: Traces) -> dict[str, Figure]:

@@ -171,12 +171,16 @@ def write_design_report(result: DesignResult, folder: Path) -> Path:
 def _region_caption(result: DesignResult) -> str:
     assert result.region is not None
     others = ", ".join(f"{n} x {f:.3g}" for n, f in result.region.others.items())
-    kept = f"with {others}, as in the design" if others else "everything else as the machine is"
-    twice = " Dashed: the same boundary with everything else as the machine is." if others else ""
+    held_text = (
+        f"with {others}, as in the design" if others else "everything else as the machine is"
+    )
+    dashed_text = (
+        " Dashed: the same boundary with everything else as the machine is." if others else ""
+    )
     return (
-        f"Hatched: in spec, {kept}; the best of ten designs of the filters and of "
+        f"Hatched: in spec, {held_text}; the best of ten designs of the filters and of "
         f"all needle delays at each point, in one run. Numbers on the lines: the worst measured "
-        f"over its limit.{twice}"
+        f"over its limit.{dashed_text}"
     )
 
 
@@ -189,14 +193,20 @@ def region_figure(result: DesignResult) -> Figure:
     assert region is not None
     figure = Figure(figsize=(7.2, 5.6))
     panel: Axes = figure.subplots()
-    across, up = np.meshgrid(*region.factors)
-    shown = np.log(np.clip(region.found, 1e-2, 1e2))
+    first_grid, second_grid = np.meshgrid(*region.factors)
+    log_ratio = np.log(np.clip(region.found, 1e-2, 1e2))
     filled = panel.contourf(
-        across, up, shown, levels=[-10.0, 0.0], colors=["#d9e8f2"], hatches=["///"], alpha=1.0
+        first_grid,
+        second_grid,
+        log_ratio,
+        levels=[-10.0, 0.0],
+        colors=["#d9e8f2"],
+        hatches=["///"],
+        alpha=1.0,
     )
     filled.set_edgecolor("0.6")
     lines = panel.contour(
-        across, up, shown, levels=np.log([0.25, 0.5, 1.0, 2.0, 4.0]).tolist(),
+        first_grid, second_grid, log_ratio, levels=np.log([0.25, 0.5, 1.0, 2.0, 4.0]).tolist(),
         colors="black", linewidths=[0.6, 0.6, 1.8, 0.6, 0.6], linestyles="solid",
     )  # fmt: skip
     panel.clabel(lines, fmt=lambda v: f"{np.exp(v):.0%}", fontsize=7, inline_spacing=1)
@@ -206,7 +216,7 @@ def region_figure(result: DesignResult) -> Figure:
     )  # fmt: skip
     if region.others:
         panel.contour(
-            across, up, np.log(np.clip(region.unchanged, 1e-2, 1e2)), levels=[0.0],
+            first_grid, second_grid, np.log(np.clip(region.unchanged, 1e-2, 1e2)), levels=[0.0],
             colors="0.35", linewidths=1.4, linestyles=[(0, (5, 2))],
         )  # fmt: skip
     if result.found is not None:
@@ -238,8 +248,8 @@ def region_figure(result: DesignResult) -> Figure:
 def _around(factors: FloatArray) -> tuple[float, float]:
     """Return the ends of a figure's axis, with a margin on both sides of the factors."""
     low, high = float(factors[0]), float(factors[-1])
-    room = (high / low) ** _AROUND
-    return low / room, high * room
+    margin = (high / low) ** _AROUND
+    return low / margin, high * margin
 
 
 def _ticks(low: float, high: float) -> list[float]:
@@ -252,12 +262,12 @@ def _ticks(low: float, high: float) -> list[float]:
         for steps in ((1.0,), (1.0, 3.0), (1.0, 2.0, 5.0), (1.0, 1.5, 2.0, 3.0, 5.0, 7.0))
     )
     even = (list(MaxNLocator(n).tick_values(low, high)) for n in range(4, 10))
-    inside: list[float] = []
-    for found in chain(logarithmic, even):
-        inside = [v for v in found if low * (1 - 1e-9) <= v <= high * (1 + 1e-9)]
-        if len(inside) >= _FEWEST_TICKS:
+    ticks: list[float] = []
+    for candidates in chain(logarithmic, even):
+        ticks = [v for v in candidates if low * (1 - 1e-9) <= v <= high * (1 + 1e-9)]
+        if len(ticks) >= _FEWEST_TICKS:
             break
-    return inside
+    return ticks
 
 
 def _mark(
@@ -265,12 +275,12 @@ def _mark(
 ) -> None:
     assert result.region is not None
     x, y = (candidate.factors[name] for name in result.region.names)
-    used = f"{percent_used(min(candidate.ratio, 99.0))} of the limit, {result.screened}"
+    used_text = f"{percent_used(min(candidate.ratio, 99.0))} of the limit, {result.screened}"
     panel.plot(
         [x], [y], linestyle="none", marker=marker, markersize={"*": 13, "o": 18}.get(marker, 9),
         markerfacecolor="#E69F00" if filled else "none", markeredgecolor="black", clip_on=False,
         markeredgewidth=1.0 if filled else 1.6,
-        zorder=6, label=f"{title}: {used}",
+        zorder=6, label=f"{title}: {used_text}",
     )  # fmt: skip
 
 
@@ -288,12 +298,12 @@ def pareto_figure(result: DesignResult) -> Figure:
     panel.axhline(
         100.0, color="#D55E00", linestyle=(0, (1, 1.5)), lw=1.4, label="limit of the specification"
     )
-    others = [("as it is", result.as_built, "o"), *(
+    marked = [("as it is", result.as_built, "o"), *(
         (name, candidate, "s") for name, candidate in result.known.items()
     )]  # fmt: skip
     if result.found is not None:
-        others.append(("smallest change", result.found.candidate, "*"))
-    for title, candidate, marker in others:
+        marked.append(("smallest change", result.found.candidate, "*"))
+    for title, candidate, marker in marked:
         panel.plot(
             [candidate.cost], [100.0 * candidate.ratio], linestyle="none", marker=marker,
             markersize=13 if marker == "*" else 8, markerfacecolor="#E69F00",
@@ -334,15 +344,15 @@ def front_figure(result: DesignResult) -> Figure:
 
     figure = Figure(figsize=(7.2, 4.2))
     panel: Axes = figure.subplots()
-    for mark, on_front in (("o", True), ("x", False)):
-        some = [one for one in result.front if one.on_front is on_front]
-        shares = np.array([one.share for one in some])
-        low, high = np.array([one.interval for one in some]).reshape(-1, 2).T
+    for marker, on_front in (("o", True), ("x", False)):
+        candidates = [one for one in result.front if one.on_front is on_front]
+        shares = np.array([one.share for one in candidates])
+        low, high = np.array([one.interval for one in candidates]).reshape(-1, 2).T
         panel.errorbar(
-            [one.cost for one in some],
+            [one.cost for one in candidates],
             100.0 * shares,
             100.0 * np.array([shares - low, high - shares]),
-            fmt=mark, color="black", capsize=2,
+            fmt=marker, color="black", capsize=2,
             label="on the front" if on_front else "no more yield than a cheaper one",
         )  # fmt: skip
     front = [one for one in result.front if one.on_front]

@@ -36,18 +36,20 @@ def difference_figure(found: Sequence[Equal]) -> Figure:
 
     figure = Figure(figsize=(7.2, 0.6 + _EACH_IN * len(found)), layout="constrained")
     panels = figure.subplots(len(found), 2, squeeze=False, sharex=True)
-    for (place, time), one in zip(panels, found, strict=True):
-        assert one.curve is not None
-        factor, unit = UNITS[one.unit]
-        _panel(place, one.curve.time_s, one.curve.place, one.place_limit, (factor, unit))
-        late_s = one.curve.late_s
-        _panel(time, one.curve.time_s, late_s, one.time_limit_s, (1e3, "ms"))
-        row = one.row()
-        for panel, first in ((place, _PLACE), (time, _TIME)):
+    for (place_panel, time_panel), target in zip(panels, found, strict=True):
+        assert target.curve is not None
+        factor, unit = UNITS[target.unit]
+        _panel(
+            place_panel, target.curve.time_s, target.curve.place, target.place_limit, (factor, unit)
+        )
+        late_s = target.curve.late_s
+        _panel(time_panel, target.curve.time_s, late_s, target.time_limit_s, (1e3, "ms"))
+        row = target.row()
+        for panel, column in ((place_panel, _PLACE), (time_panel, _TIME)):
             if not panel.lines:
-                _without_curve(panel, row[first], row[first + 1])
-        place.set_title(f"{one.target}: place, {one.verdict}")
-        time.set_title(f"{one.target}: time")
+                _without_curve(panel, row[column], row[column + 1])
+        place_panel.set_title(f"{target.target}: place, {target.verdict}")
+        time_panel.set_title(f"{target.target}: time")
     for panel in panels[-1]:
         panel.set_xlabel("time of the plan [s]")
     return figure
@@ -64,17 +66,17 @@ def _panel(
     factor, name = unit
     if values is None or limit is None or not len(values):
         return
-    shown = factor * values
-    panel.plot(time_s, shown, **ACTUAL)
-    most = factor * limit
-    for bound in (most,) if shown.min() >= 0.0 else (-most, most):
+    scaled = factor * values
+    panel.plot(time_s, scaled, **ACTUAL)
+    limit_height = factor * limit
+    for bound in (limit_height,) if scaled.min() >= 0.0 else (-limit_height, limit_height):
         panel.axhline(bound, **LIMIT)
     panel.annotate(
-        f"limit {most:.3g} {name}", (1.0, most), xycoords=("axes fraction", "data"), ha="right",
-        va="bottom", fontsize=7,
+        f"limit {limit_height:.3g} {name}", (1.0, limit_height), xycoords=("axes fraction", "data"),
+        ha="right", va="bottom", fontsize=7,
     )  # fmt: skip
-    span = max(most, float(np.abs(shown).max())) or 1.0
-    panel.set_ylim(0.0 - (1.3 * span if shown.min() < 0.0 else 0.05 * span), 1.35 * span)
+    span = max(limit_height, float(np.abs(scaled).max())) or 1.0
+    panel.set_ylim(0.0 - (1.3 * span if scaled.min() < 0.0 else 0.05 * span), 1.35 * span)
     panel.set_ylabel(f"[{name}]")
 
 
@@ -89,7 +91,7 @@ def _without_curve(panel: Axes, largest: str, limit: str) -> None:
 
 def _remarks(found: Sequence[Equal]) -> list[Table]:
     """Return the table of the remarks; none without remarks."""
-    rows = [[one.target, one.remark] for one in found if one.remark]
+    rows = [[target.target, target.remark] for target in found if target.remark]
     header = ("target", "remark")
     return [Table(title="Remarks", header=header, rows=rows, words=("remark",))] if rows else []
 
@@ -103,13 +105,13 @@ def write_equality(found: Equality, folder: Path, command: str) -> Path:
         If the folder cannot be written.
     """
     plan = found.plan
-    drawn = [one for one in found.targets if one.curve is not None]
+    with_curves = [target for target in found.targets if target.curve is not None]
     with figure_style():
         figures = {
             f"differences-{first // _ON_PAGE + 1}": difference_figure(
-                drawn[first : first + _ON_PAGE]
+                with_curves[first : first + _ON_PAGE]
             )
-            for first in range(0, len(drawn), _ON_PAGE)
+            for first in range(0, len(with_curves), _ON_PAGE)
         }
         caption = (
             "Difference of each file from the plan over the time of the plan: place on the left, "

@@ -73,8 +73,8 @@ def failing(row: Sequence[str]) -> tuple[bool, ...]:
     >>> failing(["failed", "passed"])
     (False, False)
     """
-    whole = any(cell in _FAILED for cell in row[1:])
-    return tuple(whole or (n > 0 and cell.endswith("(failed)")) for n, cell in enumerate(row))
+    row_fails = any(cell in _FAILED for cell in row[1:])
+    return tuple(row_fails or (n > 0 and cell.endswith("(failed)")) for n, cell in enumerate(row))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -194,7 +194,7 @@ def options_facts(
     leave_out
         More options to leave out.
     """
-    named = {"job": "job file", "machine": "machine file"}
+    renamed = {"job": "job file", "machine": "machine file"}
     shown = {key: value for key, value in options.items() if key not in leave_out}
     if shown.get("machine") == machine.name:
         del shown["machine"]
@@ -205,7 +205,7 @@ def options_facts(
     if "product" in shown:
         product = product_of_text(shown["product"])
         shown["product"] = f"{product.name} ({product.file}, sha256 {digest(product)[:12]})"
-    return sorted((named.get(key, key), value) for key, value in shown.items())
+    return sorted((renamed.get(key, key), value) for key, value in shown.items())
 
 
 _HEAD_GROUP = re.compile(rf'^( *)<g id="{HEAD}">\n.*?^\1</g>\n', re.DOTALL | re.MULTILINE)
@@ -237,15 +237,15 @@ def without_head(svg: str, strip_in: float) -> str:
     strip_in
         Height of the lines, inches.
     """
-    strip = 72.0 * strip_in  # points
+    strip_pt = 72.0 * strip_in  # points
     headless, groups = _HEAD_GROUP.subn("", svg, count=1)
-    cut, sizes = _SIZE.subn(
-        lambda found: (
-            f'height="{float(found[1]) - strip:.6g}pt" '
-            f'viewBox="0 {strip:.6g} {found[2]} {float(found[1]) - strip:.6g}"'
+    cropped, sizes = _SIZE.subn(
+        lambda match: (
+            f'height="{float(match[1]) - strip_pt:.6g}pt" '
+            f'viewBox="0 {strip_pt:.6g} {match[2]} {float(match[1]) - strip_pt:.6g}"'
         ),
         headless,
         count=1,
     )
     assert groups == sizes == 1
-    return cut
+    return cropped

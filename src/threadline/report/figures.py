@@ -91,9 +91,9 @@ def path_figure(proof: Proof, traces: Traces, first: str, second: str) -> Figure
     panels[0].legend(loc="lower left", bbox_to_anchor=(0.18, 1.0), ncols=4, borderaxespad=0.0)
     if zoomed and worst is not None and worst.time_s is not None:
         x, y = _place_at(proof, traces, (first, second), worst.time_s)
-        half = max(6.0 * abs(worst.measured or 0.0) * 1e3, 0.5)
-        panels[1].set_xlim(x - 1.6 * half, x + 1.6 * half)
-        panels[1].set_ylim(y - half, y + half)
+        half_height = max(6.0 * abs(worst.measured or 0.0) * 1e3, 0.5)
+        panels[1].set_xlim(x - 1.6 * half_height, x + 1.6 * half_height)
+        panels[1].set_ylim(y - half_height, y + half_height)
         panels[1].set_aspect("equal", adjustable="box")
         panels[1].set_title("Around the largest contour error")
     return figure
@@ -110,19 +110,24 @@ def _draw_path(
     first, second = pair
     columns = [proof.plan.motion.programmed.axes.index(axis) for axis in pair]
     (fx, ux), (fy, uy) = display(proof, first), display(proof, second)
-    dots = traces.stride > 1 and not near
-    gone = np.where(traces.whole | (not near), 0.0, np.nan)
+    as_dots = traces.stride > 1 and not near
+    hidden = np.where(traces.whole | (not near), 0.0, np.nan)
     planned = {axis: traces.planned[axis][:, 0] for axis in pair}
     lines = [("planned", PLANNED, 2.6, planned)]
     if traces.actual:
         lines.append(("actual", ACTUAL, 1.0, traces.actual))
-    for label, look, size, place in lines:
-        dotted = (
+    for label, line_style, size, positions in lines:
+        dot_style = (
             {"linestyle": "none", "marker": ".", "markersize": size, "rasterized": True}
-            if dots
+            if as_dots
             else {}
         )
-        panel.plot((place[first] + gone) * fx, place[second] * fy, label=label, **look | dotted)
+        panel.plot(
+            (positions[first] + hidden) * fx,
+            positions[second] * fy,
+            label=label,
+            **line_style | dot_style,
+        )
     panel.plot(
         traces.vertices[:, columns[0]] * fx,
         traces.vertices[:, columns[1]] * fy,
@@ -165,18 +170,23 @@ def profile_figure(proof: Proof, traces: Traces, axis: str) -> Figure:
     rows = figure.subplots(3, 1, sharex=True)
     factor, unit = display(proof, axis)
     limits = proof.plan.machine.axes[axis]
-    known = (traces.actual, traces.velocity, traces.acceleration)
-    actual = [of.get(axis) for of in known]
+    derivatives = (traces.actual, traces.velocity, traces.acceleration)
+    actual = [by_axis.get(axis) for by_axis in derivatives]
     bounds = (None, limits.velocity.si, limits.acceleration.si)
-    names = ("displacement", "velocity", "acceleration")
+    quantities = ("displacement", "velocity", "acceleration")
     units = (unit, f"{unit}/s", f"{unit}/s²")
     planned = traces.planned[axis]
-    for row, (name, shown_unit, bound) in enumerate(zip(names, units, bounds, strict=True)):
+    for row, (name, shown_unit, bound) in enumerate(zip(quantities, units, bounds, strict=True)):
         panel: Axes = rows[row]
-        went = actual[row]
-        _profile(panel, traces, planned[:, row] * factor, None if went is None else went * factor)
+        actual_values = actual[row]
+        _profile(
+            panel,
+            traces,
+            planned[:, row] * factor,
+            None if actual_values is None else actual_values * factor,
+        )
         panel.set_ylabel(f"{name} [{shown_unit}]", fontsize=7.5)
-        if bound is not None and _near(planned[:, row], went, bound):
+        if bound is not None and _limit_is_near(planned[:, row], actual_values, bound):
             for sign in (-1.0, 1.0):
                 label = "limit" if sign > 0 else None
                 panel.axhline(sign * bound * factor, label=label, **LIMIT)
@@ -212,9 +222,9 @@ def _profile(panel: Axes, traces: Traces, planned: FloatArray, actual: FloatArra
         panel.plot(time_s, edge, drawstyle="steps-post", label=label, **ACTUAL)
 
 
-def _near(planned: FloatArray, actual: FloatArray | None, bound: float) -> bool:
+def _limit_is_near(planned: FloatArray, actual: FloatArray | None, bound: float) -> bool:
     """Return whether a limit is so near the curves that drawing it does not flatten them."""
-    peak = max(float(np.abs(one).max()) for one in (planned, actual) if one is not None)
+    peak = max(float(np.abs(values).max()) for values in (planned, actual) if values is not None)
     return bool(np.isfinite(bound)) and 0.35 * bound < peak
 
 
@@ -236,8 +246,8 @@ def error_figure(proof: Proof, traces: Traces) -> Figure:
         tracking.plot(traces.time_s, error, label=axis, **style)
     worst = worst_result(proof.verdict, "tracking_error")
     if worst is not None and worst.time_s is not None:
-        other = worst.run is not None and worst.run != traces.run.number
-        note = f", in {run_words(proof.verdict, worst.run)}" if worst.run and other else ""
+        other_run = worst.run is not None and worst.run != traces.run.number
+        note = f", in {run_words(proof.verdict, worst.run)}" if worst.run and other_run else ""
         if worst.run is None and proof.verdict.tolerances is not None and worst.note:
             note = f", {worst.note}"  # the worst run belongs to a machine whose runs are not drawn
         tracking.axvline(worst.time_s, label=_worst_label(worst, note), **LIMIT)
@@ -259,15 +269,15 @@ def tension_figure(verdict: Verdict, recording: Recording) -> Figure | None:
         return None
     figure = Figure(figsize=(7.2, 3.0))
     panel: Axes = figure.subplots()
-    times_s, low, high = envelope(*recording.samples_of(names)[names[0]])
-    panel.fill_between(times_s, low, high, step="post", color=ACTUAL["color"], linewidth=1.1)
+    times_s, lowest, highest = envelope(*recording.samples_of(names)[names[0]])
+    panel.fill_between(times_s, lowest, highest, step="post", color=ACTUAL["color"], linewidth=1.1)
     worst = worst_result(verdict, "tension_variation")
     if worst is not None and worst.time_s is not None:
-        share, line = 100.0 * (worst.measured or 0.0), worst.job_line
-        label = f"worst {share:.3g} % off the mean" + (f" at line {line}" if line else "")
+        percent, line = 100.0 * (worst.measured or 0.0), worst.job_line
+        label = f"worst {percent:.3g} % off the mean" + (f" at line {line}" if line else "")
         limit = "" if worst.limit is None else f", limit {100.0 * worst.limit:g} %"
         panel.axvline(worst.time_s, label=label + limit, **LIMIT)
-    panel.set_ylim(0.0, 1.15 * float(np.nanmax(high)))
+    panel.set_ylim(0.0, 1.15 * float(np.nanmax(highest)))
     panel.set_xlabel("time [s]")
     panel.set_ylabel("tension [N]")
     panel.set_title("Tension of the fibre at the eye")
@@ -298,8 +308,8 @@ def _contour_along(proof: Proof, traces: Traces, panel: Axes) -> None:
     else:
         panel.text(0.5, 0.5, "not measured", transform=panel.transAxes, ha="center")
     panel.margins(y=0.15)
-    top = panel.get_ylim()[1]
-    panel.set_ylim(-_BELOW * top, top)  # an error of 0 is drawn above the frame
+    top_mm = panel.get_ylim()[1]
+    panel.set_ylim(-_BELOW * top_mm, top_mm)  # an error of 0 is drawn above the frame
     panel.set_xlabel("time [s]")
     panel.set_ylabel("contour error [mm]")
     panel.set_title("Contour error along the job, at the tool (lag along the path does not count)")
@@ -329,19 +339,19 @@ def _limited(proof: Proof) -> list[Result]:
 def _bars(proof: Proof, panel: Axes) -> None:
     limited = _limited(proof)
     names = [f"{r.name} {r.axis}".strip() for r in limited]
-    used = [abs(r.measured or 0.0) / (r.limit or 1.0) * 100.0 for r in limited]
+    used_percent = [abs(r.measured or 0.0) / (r.limit or 1.0) * 100.0 for r in limited]
     colours = ["#D55E00" if r.status is Status.FAILED else "0.7" for r in limited]
     hatches = ["////" if r.status is Status.FAILED else "" for r in limited]
-    shown = np.minimum(used, 200.0) if used else np.empty(0)
-    drawn = panel.barh(names, shown, color=colours, edgecolor="black", linewidth=0.6)
-    for bar, hatch, percent, result in zip(drawn, hatches, used, limited, strict=True):
+    shown = np.minimum(used_percent, 200.0) if used_percent else np.empty(0)
+    bars = panel.barh(names, shown, color=colours, edgecolor="black", linewidth=0.6)
+    for bar, hatch, percent, result in zip(bars, hatches, used_percent, limited, strict=True):
         bar.set_hatch(hatch)
         # Between samples a plan may exceed a limit that it keeps at each sample.
-        within = min(percent, 100.0) if result.status is Status.PASSED else percent
+        shown_percent = min(percent, 100.0) if result.status is Status.PASSED else percent
         panel.text(
             max(bar.get_width() + 2, 102.0 if 88.0 < percent < 100.0 else 0.0),
             bar.get_y() + bar.get_height() / 2,
-            percent_used(within / 100.0),
+            percent_used(shown_percent / 100.0),
             va="center",
             fontsize=7,
         )
@@ -372,8 +382,8 @@ def binding_of(plan: Plan) -> Binding | None:
 def binding_lines(found: Binding) -> list[str]:
     """Return a line with the share of the time in which each limit binds, the largest first."""
     ordered = sorted(found.binds.items(), key=lambda item: -item[1])
-    said = ", ".join(f"{kind} {share:.0%}" for kind, share in ordered if share > 0.0)
-    return [f"Binding limits:       {said or 'none'} (of the time)"]
+    share_text = ", ".join(f"{kind} {share:.0%}" for kind, share in ordered if share > 0.0)
+    return [f"Binding limits:       {share_text or 'none'} (of the time)"]
 
 
 def strips_figure(plan: Plan, found: Binding) -> Figure:
@@ -404,7 +414,14 @@ def strips_figure(plan: Plan, found: Binding) -> Figure:
         panel.set_yticks([])
         panel.grid(visible=False)
         panel.set_ylabel(kind, rotation=0, ha="right", va="center", fontsize=8)
-        binds = found.binds[kind]
-        panel.text(1.01, 0.5, f"{binds:.0%}", transform=panel.transAxes, va="center", fontsize=8)
+        binding_time_share = found.binds[kind]
+        panel.text(
+            1.01,
+            0.5,
+            f"{binding_time_share:.0%}",
+            transform=panel.transAxes,
+            va="center",
+            fontsize=8,
+        )
     rows[-1].set_xlabel("time [s]; right: share of the time in which the limit binds")
     return figure

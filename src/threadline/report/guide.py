@@ -39,12 +39,12 @@ def cylinder_signals(machine: Machine) -> Iterator[tuple[str, ...]]:
         needs = f"needs {', '.join(output.needs)}" if output.needs else ""
         yield name, f"PLC {output.address}", f"{output.kind} valve", needs
     for name, contact in machine.contacts.items():
-        what, note = str(contact.kind), ""
+        source, note = str(contact.kind), ""
         if contact.cylinder is not None and contact.at is not None:
-            what = f"end switch of {contact.cylinder}"
-            at = machine.cylinders[contact.cylinder].place(contact.at.si)
-            note = f"on at {at} and {contact.beyond}"
-        yield name, what, f"PLC {contact.address}", note
+            source = f"end switch of {contact.cylinder}"
+            position_text = machine.cylinders[contact.cylinder].place(contact.at.si)
+            note = f"on at {position_text} and {contact.beyond}"
+        yield name, source, f"PLC {contact.address}", note
 
 
 def cylinder_steps(machine: Machine) -> Iterator[tuple[str, str]]:
@@ -66,11 +66,11 @@ def cylinder_steps(machine: Machine) -> Iterator[tuple[str, str]]:
         )
     for name, cylinder in machine.cylinders.items():
         stroke_s = full_stroke_s(machine, name)
-        for way, word in ((cylinder.forward, "forward"), (cylinder.back, "back")):
-            flows = ", ".join(way.flows) or "flow control"
+        for direction, direction_word in ((cylinder.forward, "forward"), (cylinder.back, "back")):
+            flows = ", ".join(direction.flows) or "flow control"
             yield (
-                f"With air, and nobody near, let {name} go {word} over its whole stroke by "
-                f"{way.valve} and {flows}; trim the flow control.",
+                f"With air, and nobody near, let {name} go {direction_word} over its whole stroke "
+                f"by {direction.valve} and {flows}; trim the flow control.",
                 f"It arrives {1e3 * stroke_s:.0f} ms after the valve is switched.",
             )
 
@@ -203,15 +203,15 @@ def write_guide(machine: Machine, folder: Path) -> Path:
 
 def _axis_rows(machine: Machine) -> Iterator[tuple[str, ...]]:
     for name, axis in machine.axes.items():
-        ends = "endless"
+        range_text = "endless"
         if axis.travel is not None:
-            ends = f"{shown(axis.travel[0].si, axis)} to {shown(axis.travel[1].si, axis)}"
+            range_text = f"{shown(axis.travel[0].si, axis)} to {shown(axis.travel[1].si, axis)}"
         elif axis.stroke is not None:
-            ends = f"{shown(axis.stroke.si, axis)} in all"
+            range_text = f"{shown(axis.stroke.si, axis)} in all"
         yield (
             f"{name}, {axis.kind}",
             machine.moving[name] if axis.drive else f"controller {axis.controller}",
-            ends,
+            range_text,
             shown(axis.velocity.si, axis, "/s"),
             shown(axis.acceleration.si, axis, "/s^2"),
             f"{_scale(axis)} ({axis.counts.provenance.value})",
@@ -256,10 +256,10 @@ def _signals(machine: Machine) -> Iterator[tuple[str, ...]]:
             "; ".join(f"{_of_body(q)} of {body}" for body, q in reads.items()),
         )
     for name, switch in machine.inputs.items():
-        at = shown(switch.at.si, machine.axes[switch.axis])
+        position_text = shown(switch.at.si, machine.axes[switch.axis])
         yield (
             name,
-            f"switch of {switch.axis} at {at} or {switch.beyond}",
+            f"switch of {switch.axis} at {position_text} or {switch.beyond}",
             f"drive {switch.cuts}, controller",
             f"cuts the supply of {switch.cuts}",
         )
@@ -327,20 +327,20 @@ def _amplifier_steps(machine: Machine, name: str, motor: DcMotor) -> list[Step]:
     axis, controller = machine.axes[name], machine.controller_of(name)
     volts = _SHARE * controller.dac.range.si
     level = volts / controller.dac.volt_per_level
-    going = speed_at(machine, name, volts)
+    speed = speed_at(machine, name, volts)
     if motor.amplifier.mode == "current":
-        see = (
+        observation = (
             f"{motor.amplifier.gain.si * volts:.4g} A at the amplifier's monitor; {name} speeds up."
         )
-    elif going is None:
-        see = f"{name} begins to move, at the same speed at every trial."
+    elif speed is None:
+        observation = f"{name} begins to move, at the same speed at every trial."
     else:
-        counts = going * axis.counts.si
-        see = (
-            f"{name} goes at {shown(going, axis, '/s')} ({counts:.5g} count/s); friction makes it "
+        counts = speed * axis.counts.si
+        observation = (
+            f"{name} goes at {shown(speed, axis, '/s')} ({counts:.5g} count/s); friction makes it "
             "a little less."
         )
-    ends = "" if axis.endless else " It has its travel alone: stop it in time."
+    travel_warning = "" if axis.endless else " It has its travel alone: stop it in time."
     return [
         Step(
             f"Take the controller's plug out, put 0 V to the command of {name}, balance the drive.",
@@ -348,8 +348,8 @@ def _amplifier_steps(machine: Machine, name: str, motor: DcMotor) -> list[Step]:
         ),
         Step(
             f"Put +{volts:g} V to the command of {name} (level {level:.0f} of its DAC), and turn "
-            f"the gain up slowly until it goes as it must.{ends}",
-            see,
+            f"the gain up slowly until it goes as it must.{travel_warning}",
+            observation,
         ),
         Step(
             f"Look at the reading of encoder {controller.sensor} meanwhile.",
@@ -371,5 +371,5 @@ def speed_at(machine: Machine, name: str, volts: float) -> float | None:
     ((body, weight),) = motor.acts_on.items()
     if set(reads) != {body}:
         return None
-    of_body = motor.amplifier.gain.si * volts / motor.back_emf.si / weight.si
-    return float(of_body * reads[body].si / machine.axes[name].counts.si)
+    body_speed = motor.amplifier.gain.si * volts / motor.back_emf.si / weight.si
+    return float(body_speed * reads[body].si / machine.axes[name].counts.si)

@@ -92,16 +92,16 @@ def write_laws(
             header=("law", "Cv", "Ca", "Cj", "efficiency"),
             rows=[
                 [
-                    each.name,
-                    f"{each.velocity:.4f}",
-                    f"{each.acceleration:.4f}",
-                    "infinite" if each.jerk is None else f"{each.jerk:.4f}",
-                    f"{each.efficiency:.4f}",
+                    law.name,
+                    f"{law.velocity:.4f}",
+                    f"{law.acceleration:.4f}",
+                    "infinite" if law.jerk is None else f"{law.jerk:.4f}",
+                    f"{law.efficiency:.4f}",
                 ]
-                for each in laws
+                for law in laws
             ],
         )
-        names = ", ".join(each.name for each in laws)
+        names = ", ".join(law.name for law in laws)
         document = Document(
             title="Motion laws",
             subtitle=names,
@@ -131,10 +131,10 @@ def _laws(laws: Sequence[Law]) -> Figure:
     rows = figure.subplots(4, 1, sharex=True)
     t = np.linspace(0.0, 1.0, _POINTS)
     for derivative, (row, name) in enumerate(zip(rows, _NAMES, strict=True)):
-        for index, each in enumerate(laws):
+        for index, law in enumerate(laws):
             # The markers of different curves are at different places.
-            every = (30 + 23 * index, 150)
-            row.plot(t, each(t, derivative), label=each.name, markevery=every, **_style(index))
+            mark_spacing = (30 + 23 * index, 150)
+            row.plot(t, law(t, derivative), label=law.name, markevery=mark_spacing, **_style(index))
         row.set_ylabel(name)
     rows[0].set_title("Rise and derivatives")
     rows[-1].set_xlabel("time, of the window")
@@ -151,14 +151,18 @@ def _residual(plot: ResidualPlot) -> Figure:
     axes = figure.subplots()
     f = np.geomspace(_SPAN[0] * mode.frequency_hz, _SPAN[1] * mode.frequency_hz, _FREQUENCIES)
     for index, curve in enumerate(plot.curves):
-        at = np.array([curve.window_s])
-        left = [
-            residual_m(curve.law, FlexibleMode(x, mode.damping_ratio), plot.move_m, at)[0]
+        window_s = np.array([curve.window_s])
+        residuals_m = [
+            residual_m(curve.law, FlexibleMode(x, mode.damping_ratio), plot.move_m, window_s)[0]
             for x in f
         ]
         label = f"{curve.law.name}, {curve.window_s * 1e3:.4g} ms"
         axes.plot(
-            f, 1e3 * np.array(left), label=label, markevery=(10 + 9 * index, 45), **_style(index)
+            f,
+            1e3 * np.array(residuals_m),
+            label=label,
+            markevery=(10 + 9 * index, 45),
+            **_style(index),
         )
     if plot.limit_m is not None:
         axes.axhline(1e3 * plot.limit_m, label=f"asked for: {1e3 * plot.limit_m:g} mm", **LIMIT)
@@ -222,8 +226,8 @@ def rows_figure(study: CamStudy) -> Figure:
     angle = np.degrees(cam.alpha_rad)
     figure = Figure(figsize=(7.2, 8.0))
     top, middle, bottom = figure.subplots(3, 1, sharex=True)
-    dense, between = _between(study, faired.distances_m)
-    top.plot(np.degrees(dense), 1e3 * between, label=f"faired: {study.chosen}", **ACTUAL)
+    dense_rad, between_m = _between(study, faired.distances_m)
+    top.plot(np.degrees(dense_rad), 1e3 * between_m, label=f"faired: {study.chosen}", **ACTUAL)
     top.plot(angle, 1e3 * cam.h_m, label="measured", **PROGRAMMED)
     top.set_ylabel("distance [mm]")
     top.set_title("Distances")
@@ -235,35 +239,37 @@ def rows_figure(study: CamStudy) -> Figure:
     middle.set_ylabel("off the faired [mm]")
     if study.outliers:
         rows = list(study.outliers)
-        off = 1e3 * (cam.h_m - faired.distances_m)[rows]
-        middle.plot(angle[rows], off, label="outlier, kept", **WORST)
+        off_mm = 1e3 * (cam.h_m - faired.distances_m)[rows]
+        middle.plot(angle[rows], off_mm, label="outlier, kept", **WORST)
     for values, label, style in (
         (cam.h_m, "measured", PLANNED),
         (faired.distances_m, f"faired: {study.chosen}", ACTUAL),
     ):
-        seconds = 1e3 * second_differences(cam.alpha_rad, values)
-        bottom.plot(angle[1:-1], seconds, label=label, **style)
+        second_mm = 1e3 * second_differences(cam.alpha_rad, values)
+        bottom.plot(angle[1:-1], second_mm, label=label, **style)
     bottom.set_ylabel("2nd difference [mm]")
     bottom.set_xlabel("cam [deg]")
     for panel in (top, middle, bottom):
         for end in (study.rise.start_rad, study.rise.end_rad):
             panel.axvline(np.degrees(end), color="0.3", linewidth=0.9)
-        for around in (study.rise.start_within_rad, study.rise.end_within_rad):
-            if around is not None:
-                panel.axvspan(*np.degrees(around).tolist(), color="0.5", alpha=0.15, linewidth=0)
+        for end_interval in (study.rise.start_within_rad, study.rise.end_within_rad):
+            if end_interval is not None:
+                panel.axvspan(
+                    *np.degrees(end_interval).tolist(), color="0.5", alpha=0.15, linewidth=0
+                )
         panel.legend(loc="best")
     return figure
 
 
-def _between(study: CamStudy, at_rows_m: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _between(study: CamStudy, faired_m: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return (m,) angles between the rows and the faired distances at them."""
     cam, rise = study.cam, study.rise
     span = rise.end_rad - rise.start_rad
-    dense = np.union1d(np.linspace(cam.alpha_rad[0], cam.alpha_rad[-1], _POINTS), cam.alpha_rad)
-    risen, at = (study.law(np.clip((x - rise.start_rad) / span, 0.0, 1.0))
-                 for x in (cam.alpha_rad, dense))  # fmt: skip
-    base = np.polynomial.polynomial.polyfit(risen, cam.follower_of(at_rows_m), 1)
-    return dense, cam.distance_of(base[0] + base[1] * at)
+    dense_rad = np.union1d(np.linspace(cam.alpha_rad[0], cam.alpha_rad[-1], _POINTS), cam.alpha_rad)
+    rise_at_rows, rise_at_dense = (study.law(np.clip((x - rise.start_rad) / span, 0.0, 1.0))
+                 for x in (cam.alpha_rad, dense_rad))  # fmt: skip
+    base = np.polynomial.polynomial.polyfit(rise_at_rows, cam.follower_of(faired_m), 1)
+    return dense_rad, cam.distance_of(base[0] + base[1] * rise_at_dense)
 
 
 def law_figure(study: CamStudy) -> Figure:
@@ -275,24 +281,24 @@ def law_figure(study: CamStudy) -> Figure:
     panels = figure.subplots(4, 1, sharex=True)
     t = np.linspace(0.0, 1.0, _POINTS)
     cam = study.cam
-    at = (cam.alpha_rad - study.rise.start_rad) / (study.rise.end_rad - study.rise.start_rad)
-    inside = (at > 0.0) & (at < 1.0)
-    low, high = (float(cam.follower[k]) for k in (0, -1))
-    u = np.concatenate(([0.0], at[inside], [1.0]))
-    s = np.concatenate(([0.0], (cam.follower[inside] - low) / (high - low), [1.0]))
-    raw = CubicSpline(u, s, bc_type="clamped")
-    chosen = study.faired(study.chosen)
-    assert chosen is not None
+    rise_time = (cam.alpha_rad - study.rise.start_rad) / (study.rise.end_rad - study.rise.start_rad)
+    is_inside = (rise_time > 0.0) & (rise_time < 1.0)
+    first_m, last_m = (float(cam.follower[k]) for k in (0, -1))
+    u = np.concatenate(([0.0], rise_time[is_inside], [1.0]))
+    s = np.concatenate(([0.0], (cam.follower[is_inside] - first_m) / (last_m - first_m), [1.0]))
+    unfaired = CubicSpline(u, s, bc_type="clamped")
+    faired = study.faired(study.chosen)
+    assert faired is not None
     names = ("rise", "velocity", "acceleration", "jerk")
     for derivative, (panel, name) in enumerate(zip(panels, names, strict=True)):
         if study.chosen is not Fairing.NONE:
-            panel.plot(t, raw(t, derivative), label="as measured", color="0.72", linewidth=0.7)
+            panel.plot(t, unfaired(t, derivative), label="as measured", color="0.72", linewidth=0.7)
         panel.plot(t, study.law(t, derivative), label=f"faired: {study.chosen}", **ACTUAL)
         peak = float(np.abs(study.law(t, derivative)).max())
         if derivative:
             # The unfaired curve may be many times as high; it is cut off at the edge.
             panel.set_ylim((-0.3 if derivative == 1 else -1.6) * peak, 1.6 * peak)
-            panel.set_title(_peak_words(chosen, derivative), fontsize=8.0)
+            panel.set_title(_peak_words(faired, derivative), fontsize=8.0)
         panel.set_ylabel(name)
     panels[0].set_title("Law: rise 1 in time 1, and its derivatives")
     panels[-1].set_xlabel("time, of the rise")

@@ -50,24 +50,24 @@ def learning_figure(found: LearnedJob) -> Figure:
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(7.2, 5.4), layout="constrained")
-    above, below = figure.subplots(2, 1, sharex=True)
-    for (name, one), colour in zip(found.machines, _COLOURS, strict=False):
-        numbers = [run.number for run in one.repeats]
+    error_panel, share_panel = figure.subplots(2, 1, sharex=True)
+    for (name, learned), colour in zip(found.machines, _COLOURS, strict=False):
+        numbers = [run.number for run in learned.repeats]
         for axes, values in (
-            (above, [1e3 * run.error_m for run in one.repeats]),
-            (below, [100.0 * run.share for run in one.repeats]),
+            (error_panel, [1e3 * run.error_m for run in learned.repeats]),
+            (share_panel, [100.0 * run.share for run in learned.repeats]),
         ):
             axes.plot(numbers, values, color=colour, lw=1.0, label=name)
-            for run, value in zip(one.repeats, values, strict=True):
+            for run, value in zip(learned.repeats, values, strict=True):
                 filled = colour if run.followed else "white"
                 axes.plot(run.number, value, "o", ms=4, mec=colour, mfc=filled)
-    above.set_yscale("log")
-    above.set_ylabel("error of the head, rms [mm]")
-    below.axhline(100.0, color="0.4", lw=0.8, ls="--")
-    below.set_ylabel("used of the tightest limit [%]")
-    below.set_xlabel("repeat (0: the table as planned)")
-    below.set_ylim(bottom=0.0)
-    below.legend(fontsize=7, loc="upper right")
+    error_panel.set_yscale("log")
+    error_panel.set_ylabel("error of the head, rms [mm]")
+    share_panel.axhline(100.0, color="0.4", lw=0.8, ls="--")
+    share_panel.set_ylabel("used of the tightest limit [%]")
+    share_panel.set_xlabel("repeat (0: the table as planned)")
+    share_panel.set_ylim(bottom=0.0)
+    share_panel.legend(fontsize=7, loc="upper right")
     return figure
 
 
@@ -81,18 +81,18 @@ def write_learning(found: LearnedJob, folder: Path, command: str) -> Path:
     """
     with figure_style():
         plan, tables = found.base, []
-        for at, (name, one) in enumerate(found.machines):
+        for machine_index, (name, learned) in enumerate(found.machines):
             tables.append(
                 Table(
                     title=f"Repeats: {name}",
                     header=HEADER,
-                    rows=repeat_rows(found, at),
+                    rows=repeat_rows(found, machine_index),
                     words=("tightest",),
                 )
             )
-            header, rows = verdict_rows(one.proof.verdict)
+            header, rows = verdict_rows(learned.proof.verdict)
             tables.append(
-                Table(title=f"The {table_name(one.best)}: {name}", header=header, rows=rows)
+                Table(title=f"The {table_name(learned.best)}: {name}", header=header, rows=rows)
             )
         document = Document(
             title=f"{plan.job.name} on {plan.machine.name}, learned",
@@ -118,7 +118,7 @@ def verdicts(found: LearnedJob) -> Sequence[tuple[str, bool]]:
     """Return the verdict on the best table, or how many machines are in specification."""
     if len(found.machines) == 1:
         return [(closing(found.machines[0][1].proof.verdict), found.passed)]
-    passed = sum(one.passed for _, one in found.machines)
+    passed = sum(learned.passed for _, learned in found.machines)
     return [
         (
             f"{passed} of {len(found.machines)} machines are in specification with their tables",
@@ -131,13 +131,13 @@ def filter_facts(found: LearnedJob) -> list[tuple[str, str]]:
     """Return the learning filter of every axis in words."""
     facts = []
     learned = found.machines[0][1]
-    for one in learned.filters:
-        none = one.unlearned_hz
-        text = f"gain {learned.rules.gain:g}, low-pass {one.low_pass_hz:.3g} Hz"
-        if none is not None:
+    for learning_filter in learned.filters:
+        band_hz = learning_filter.unlearned_hz
+        text = f"gain {learned.rules.gain:g}, low-pass {learning_filter.low_pass_hz:.3g} Hz"
+        if band_hz is not None:
             text += (
-                f"; nothing is learned from {none[0]:.3g} to {none[1]:.3g} Hz, where machines "
-                "within the tolerances answer too differently"
+                f"; nothing is learned from {band_hz[0]:.3g} to {band_hz[1]:.3g} Hz, where "
+                "machines within the tolerances answer too differently"
             )
-        facts.append((f"learning filter {one.axis}", text))
+        facts.append((f"learning filter {learning_filter.axis}", text))
     return facts

@@ -60,28 +60,28 @@ class CircuitCounts:
 
     def lines(self) -> list[str]:
         """Return the numbers as lines of text."""
-        each = f"{self.longest_ticks}"
+        per_circuit = f"{self.longest_ticks}"
         if self.shortest_ticks != self.longest_ticks:
-            each = f"{self.shortest_ticks} to {self.longest_ticks}"
-        more = ""
+            per_circuit = f"{self.shortest_ticks} to {self.longest_ticks}"
+        note = ""
         from threadline.files.formats.plt import LINES_1994
 
         if self.data_points > LINES_1994:
-            more = f"; the 1994 plot file held {LINES_1994}"
-        tick = f"{float(self.period_s * 1000):g} ms"
-        whole = f"{float(self.ticks * self.period_s):.6g} s"
+            note = f"; the 1994 plot file held {LINES_1994}"
+        tick_text = f"{float(self.period_s * 1000):g} ms"
+        duration_text = f"{float(self.ticks * self.period_s):.6g} s"
         if self.record_every is None and self.circuits == 1:
-            return [f"Ticks in all:         {self.ticks} ({whole}; a tick is {tick})"]
-        shown = [
-            f"Ticks per circuit:    {each} (a tick is {tick})",
+            return [f"Ticks in all:         {self.ticks} ({duration_text}; a tick is {tick_text})"]
+        lines_shown = [
+            f"Ticks per circuit:    {per_circuit} (a tick is {tick_text})",
             f"Circuits:             {self.circuits}",
-            f"Ticks in all:         {self.ticks} ({whole})",
+            f"Ticks in all:         {self.ticks} ({duration_text})",
         ]
         if self.record_every is None:
-            return shown
+            return lines_shown
         return [
-            *shown,
-            f"Data points recorded: {self.data_points} (every {self.record_every} ticks{more})",
+            *lines_shown,
+            f"Data points recorded: {self.data_points} (every {self.record_every} ticks{note})",
         ]
 
 
@@ -145,16 +145,18 @@ def _by_circuit(table: TickTable, job: Job) -> Iterator[tuple[int, int]]:
     operations = enumerate(job)
     index, circuit = -1, 0
     source: Source | None = None
-    entered = 0
+    circuits_entered = 0
     for block in table:
-        found, counts = np.unique(block.operation, return_counts=True)
-        for wanted, rows in zip(found.tolist(), counts.tolist(), strict=True):
-            while index < wanted:
-                index, operation = next(operations, (wanted, None))
-                before, source = source, None if operation is None else operation.source
-                entered += source is not None and begins_circuit(before, source)
-            circuit = entered if source is not None and source.passes else 0
-            yield circuit, rows
+        operation_numbers, row_counts = np.unique(block.operation, return_counts=True)
+        for operation_number, row_count in zip(
+            operation_numbers.tolist(), row_counts.tolist(), strict=True
+        ):
+            while index < operation_number:
+                index, operation = next(operations, (operation_number, None))
+                previous_source, source = source, None if operation is None else operation.source
+                circuits_entered += source is not None and begins_circuit(previous_source, source)
+            circuit = circuits_entered if source is not None and source.passes else 0
+            yield circuit, row_count
 
 
 def about_motion(proof: Proof) -> list[str]:
@@ -328,8 +330,10 @@ def _threads_words(sewn: Sequence[Sewn]) -> str:
         f"{one.duration_s:.4g} s"
         for one in sewn[:_MOST_THREADS]
     ]
-    more = len(sewn) - len(first)
-    return "; ".join([*first, *([f"and {more} more, which the report lists"] if more else [])])
+    more_count = len(sewn) - len(first)
+    return "; ".join(
+        [*first, *([f"and {more_count} more, which the report lists"] if more_count else [])]
+    )
 
 
 def _for_words(plan: Plan) -> str:
@@ -383,9 +387,9 @@ def production(proof: Proof) -> str:
 def creep_rows(plan: Plan) -> list[list[str]]:
     """Return a row on the creep of cylinders whose end switch is late; empty if none creeps."""
     texts = [
-        f"{axis} creeps, {one['opening_m'] * factor:.2g} {unit} each {one['every_s']:.3g} s"
-        + (f", ringing {one['rings_m'] * 1e3:.2g} mm at most" if one["rings_m"] else "")
-        for axis, one in plan.scheduled.creeping.items()
+        f"{axis} creeps, {creep['opening_m'] * factor:.2g} {unit} each {creep['every_s']:.3g} s"
+        + (f", ringing {creep['rings_m'] * 1e3:.2g} mm at most" if creep["rings_m"] else "")
+        for axis, creep in plan.scheduled.creeping.items()
         for factor, unit in (plan.machine.usual(axis),)
     ]
     return [["Late switches", "; ".join(texts)]] if texts else []

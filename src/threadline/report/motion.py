@@ -48,13 +48,13 @@ def write_motion(studied: ReportData, folder: Path) -> Path:
         sewn_run = seam_run(proof)
         header, rows = verdict_rows(proof.verdict)
         figures = all_figures(proof, traces)
-        bound = binding_of(plan)
-        if bound is not None:
-            figures["limits"] = strips_figure(plan, bound)
+        binding_limits = binding_of(plan)
+        if binding_limits is not None:
+            figures["limits"] = strips_figure(plan, binding_limits)
         seam = seam_figure(proof, sewn_run.recording)
         if seam is not None:
             figures = {"seam": seam, **figures}
-        wound, beside, of_bands = winding_figures(proof)
+        wound, files_beside, band_tables = winding_figures(proof)
         figures = {**wound, **figures}
         thinned = "" if traces.stride == 1 else thinned_words(traces.stride)
         thinned += traces.run.words(proof)
@@ -66,7 +66,7 @@ def write_motion(studied: ReportData, folder: Path) -> Path:
             warnings=grouped(warnings_of(proof)),
             tables=[
                 Table(title="Criteria", header=header, rows=rows),
-                *of_bands,
+                *band_tables,
                 *planned_sheet(plan),
                 *changes(proof.verdict),
                 Table(
@@ -78,14 +78,14 @@ def write_motion(studied: ReportData, folder: Path) -> Path:
                             *specification_lines(proof),
                             *feed_lines(plan),
                             *motion_lines(plan),
-                            *([] if bound is None else binding_lines(bound)),
+                            *([] if binding_limits is None else binding_lines(binding_limits)),
                             *count_circuits(plan).lines(),
                         ]
                     ],
                 ),
             ],
             figures=figures,
-            beside=beside,
+            beside=files_beside,
             captions={
                 name: _caption(name, known=bool(traces.actual))
                 + (sewn_run.words(proof) if name == "seam" else "" if name in wound else thinned)
@@ -137,8 +137,10 @@ def _caption(name: str, *, known: bool) -> str:
             "uses: the length error, unless it is exempt, or the distance from the seam."
         )
     if name.startswith("path-"):
-        gone = ", and where the driven mass went" if known else "; where the mass went is not known"
-        return f"Programmed points, planned path{gone}."
+        actual_text = (
+            ", and where the driven mass went" if known else "; where the mass went is not known"
+        )
+        return f"Programmed points, planned path{actual_text}."
     if name.startswith("profile-"):
         actual = "; actual velocity and acceleration are differences over one tick" if known else ""
         return (

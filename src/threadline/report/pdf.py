@@ -74,14 +74,14 @@ def draw_figure(writer: PdfWriter, place: Place, figure: bytes) -> None:
     page = writer.pages[place.page]
     objects = _member(cast(DictionaryObject, page["/Resources"].get_object()), "/XObject")
     name = f"/Figure{len(objects)}"
-    drawn = PdfReader(io.BytesIO(figure)).pages[0]
-    objects[NameObject(name)] = writer._add_object(_form(writer, drawn))
+    figure_page_read = PdfReader(io.BytesIO(figure)).pages[0]
+    objects[NameObject(name)] = writer._add_object(_form(writer, figure_page_read))
     cm = f"{place.scale:.6f} 0 0 {place.scale:.6f} {place.x_pt:.4f} {place.y_pt:.4f} cm"
-    found = page.raw_get("/Contents")
-    before = list(found) if isinstance(found, ArrayObject) else [found]
+    contents = page.raw_get("/Contents")
+    earlier_streams = list(contents) if isinstance(contents, ArrayObject) else [contents]
     # q and Q keep colour and position of the page's contents from changing the figure's.
     page[NameObject("/Contents")] = ArrayObject(
-        [_stream(writer, "q"), *before, _stream(writer, f"Q q {cm} {name} Do Q")]
+        [_stream(writer, "q"), *earlier_streams, _stream(writer, f"Q q {cm} {name} Do Q")]
     )
 
 
@@ -163,7 +163,7 @@ def _text_pages(document: Document, pages: int) -> tuple[bytes, list[Place]]:
     """Return a PDF without figures, ``pages`` as its number of pages, and the places of figures."""
     places: list[Place] = []
     buffer = io.BytesIO()
-    made = BaseDocTemplate(
+    template_document = BaseDocTemplate(
         buffer,
         pagesize=(WIDTH_PT, HEIGHT_PT),
         title=document.title,
@@ -184,8 +184,8 @@ def _text_pages(document: Document, pages: int) -> tuple[bytes, list[Place]]:
     def head_and_foot(canvas: Canvas, template: BaseDocTemplate) -> None:
         _head_and_foot(canvas, document, template.page, pages)
 
-    made.addPageTemplates([PageTemplate(frames=[frame], onPage=head_and_foot)])
-    made.build(_story(document, places))
+    template_document.addPageTemplates([PageTemplate(frames=[frame], onPage=head_and_foot)])
+    template_document.build(_story(document, places))
     return buffer.getvalue(), places
 
 
@@ -195,17 +195,17 @@ def _head_and_foot(canvas: Canvas, document: Document, page: int, pages: int) ->
         canvas.setFont(BOLD, _HEAD_PT)
         lines = simpleSplit(verdict, BOLD, _HEAD_PT, _ROOM_PT)
         if len(lines) > _HEAD_LINES:
-            rest = " ".join(lines[_HEAD_LINES - 1 :])
-            lines = [*lines[: _HEAD_LINES - 1], shortened(rest, BOLD, _HEAD_PT, _ROOM_PT)]
+            remaining_text = " ".join(lines[_HEAD_LINES - 1 :])
+            lines = [*lines[: _HEAD_LINES - 1], shortened(remaining_text, BOLD, _HEAD_PT, _ROOM_PT)]
         y_pt = HEIGHT_PT - _TOP_PT + 8.0 + 1.25 * _HEAD_PT * (len(lines) - 1)
         for number, line in enumerate(lines):
             canvas.drawString(_SIDE_PT, y_pt - 1.25 * _HEAD_PT * number, line)
-    counted = f"page {page} of {pages}"
-    room_pt = _ROOM_PT - width_pt(counted, FONT, _HEAD_PT) - 12.0
+    page_text = f"page {page} of {pages}"
+    room_pt = _ROOM_PT - width_pt(page_text, FONT, _HEAD_PT) - 12.0
     canvas.setFont(FONT, _HEAD_PT)
     title = shortened(document.title, FONT, _HEAD_PT, room_pt)
     canvas.drawString(_SIDE_PT, _BOTTOM_PT - 20.0, title)
-    canvas.drawRightString(WIDTH_PT - _SIDE_PT, _BOTTOM_PT - 20.0, counted)
+    canvas.drawRightString(WIDTH_PT - _SIDE_PT, _BOTTOM_PT - 20.0, page_text)
 
 
 def _story(document: Document, places: list[Place]) -> list[Flowable]:
@@ -215,9 +215,12 @@ def _story(document: Document, places: list[Place]) -> list[Flowable]:
         Paragraph(escape(document.subtitle), small),
         *(_verdict_box(text, good=good) for text, good in document.verdicts),
     ]
-    warned = [Paragraph(f"• {escape(text)}", small) for text in document.warnings]
-    if warned:
-        story += [KeepTogether([Paragraph("Warnings", heading_style()), warned[0]]), *warned[1:]]
+    warning_parts = [Paragraph(f"• {escape(text)}", small) for text in document.warnings]
+    if warning_parts:
+        story += [
+            KeepTogether([Paragraph("Warnings", heading_style()), warning_parts[0]]),
+            *warning_parts[1:],
+        ]
     for table in document.tables:
         story += table_parts(table, _ROOM_PT)
     for number, (name, figure) in enumerate(document.figures.items()):
@@ -232,16 +235,16 @@ def _story(document: Document, places: list[Place]) -> list[Flowable]:
 
 def _verdict_box(text: str, *, good: bool) -> Flowable:
     """Return a verdict in a frame; the frame is dashed unless ``good``."""
-    words = text_style(10.0, bold=True)
+    text_look = text_style(10.0, bold=True)
     wide_pt = min(width_pt(text, BOLD, 10.0) + 18.0, _ROOM_PT)
-    look: list[tuple[str, tuple[int, int], tuple[int, int], *tuple[Any, ...]]] = [
+    box_style: list[tuple[str, tuple[int, int], tuple[int, int], *tuple[Any, ...]]] = [
         ("BOX", (0, 0), (-1, -1), 1.4, black, None, None if good else (4, 2)),
         ("BOTTOMPADDING", (0, 0), (-1, -1), 5.0),
     ]
     return Cells(
-        [[Paragraph(escape(text), words)]],
+        [[Paragraph(escape(text), text_look)]],
         colWidths=[wide_pt],
-        style=look,
+        style=box_style,
         hAlign="LEFT",
         spaceBefore=8.0,
     )
@@ -255,8 +258,8 @@ def _with_caption(
     inches = figure.get_size_inches()
     wide_pt, tall_pt = 72.0 * float(inches[0]), 72.0 * float(inches[1])
     scale = min(1.0, _ROOM_PT / wide_pt, (_TALL_PT - taken_pt - 2.0 * _GAP_PT) / tall_pt)
-    halved = (_TALL_PT / 2.0 - taken_pt - _GAP_PT - 1.0) / tall_pt
-    if _LEAST_SHARE * scale <= halved < scale:
-        scale = halved  # two figures fit one page
+    half_page_scale = (_TALL_PT / 2.0 - taken_pt - _GAP_PT - 1.0) / tall_pt
+    if _LEAST_SHARE * scale <= half_page_scale < scale:
+        scale = half_page_scale  # two figures fit one page
     picture = _Picture(name, (scale * wide_pt, scale * tall_pt), scale, places)
     return KeepTogether([*above, picture, caption, Spacer(1.0, _GAP_PT)])

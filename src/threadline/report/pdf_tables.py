@@ -68,13 +68,13 @@ def shortened(text: str, font: str, size_pt: float, room_pt: float) -> str:
     """
     if width_pt(text, font, size_pt) <= room_pt:
         return text
-    kept = len(text)
-    while kept > 1:
-        kept -= 1
-        begin = (kept + 1) // 2
-        said = f"{text[:begin]}…{text[len(text) - kept + begin :]}"
-        if width_pt(said, font, size_pt) <= room_pt:
-            return said
+    kept_letters = len(text)
+    while kept_letters > 1:
+        kept_letters -= 1
+        begin = (kept_letters + 1) // 2
+        short_text = f"{text[:begin]}…{text[len(text) - kept_letters + begin :]}"
+        if width_pt(short_text, font, size_pt) <= room_pt:
+            return short_text
     return "…"
 
 
@@ -103,17 +103,17 @@ def table_parts(table: Table, room_pt: float) -> Iterator[Flowable]:
         title = table.title + (", continued" if number else "")
         heading = Paragraph(escape(title), heading_style())
         lines = ([table.header] if table.headed else []) + list(table.rows)
-        drawn = _drawn(table, lines, columns, size_pt, widths_pt)
-        begun = _drawn(table, lines[: _WITH_HEADING + 1], columns, size_pt, widths_pt)
-        height_pt = 0.0 if drawn is None else drawn.wrap(room_pt, _ANY_PT)[1]
-        if begun is not None and height_pt > _SHORT_PT:
-            height_pt = begun.wrap(room_pt, _ANY_PT)[1]
+        whole_table = _drawn_table(table, lines, columns, size_pt, widths_pt)
+        beginning = _drawn_table(table, lines[: _WITH_HEADING + 1], columns, size_pt, widths_pt)
+        height_pt = 0.0 if whole_table is None else whole_table.wrap(room_pt, _ANY_PT)[1]
+        if beginning is not None and height_pt > _SHORT_PT:
+            height_pt = beginning.wrap(room_pt, _ANY_PT)[1]
         height_pt += heading.wrap(room_pt, _ANY_PT)[1]
         height_pt += heading.getSpaceBefore() + heading.getSpaceAfter()
         yield CondPageBreak(min(height_pt + 1.0, _MOST_PT))
         yield heading
-        if drawn is not None:
-            yield drawn
+        if whole_table is not None:
+            yield whole_table
     if table.note:
         yield Paragraph(escape(table.note), text_style(8.0, space_before_pt=3.0))
 
@@ -126,27 +126,27 @@ def columns_of(
     The font size is the largest that keeps every short text in one line, or else every word whole.
     If no size does, the table is split into several that all begin with the first column.
     """
-    every = tuple(range(len(table.header)))
+    all_columns = tuple(range(len(table.header)))
     for short_pt, size_pt in product((_SHORT_TEXT_PT, 0.0), _SIZES_PT):
         natural, least = _extents(table, size_pt)
         least = [n if n <= short_pt else m for n, m in zip(natural, least, strict=True)]
         if sum(least) <= room_pt:
             if not table.headed:
                 natural[-1] = max(natural[-1], room_pt - sum(natural[:-1]))
-            return [(every, size_pt, shared_widths(natural, least, room_pt))]
+            return [(all_columns, size_pt, shared_widths(natural, least, room_pt))]
     groups: list[list[int]] = []
-    for column in every[1:]:
-        taken = sum(least[c] for c in groups[-1]) + least[column] if groups else room_pt + 1.0
-        if taken > room_pt:
+    for column in all_columns[1:]:
+        taken_pt = sum(least[c] for c in groups[-1]) + least[column] if groups else room_pt + 1.0
+        if taken_pt > room_pt:
             groups.append([0])
         groups[-1].append(column)
     parts = []
     for group in groups or [[0]]:
-        wide = [natural[c] for c in group]
-        narrow = [least[c] for c in group]
-        if sum(narrow) > room_pt:  # one column beside the first: a word is broken
-            narrow = [min(c, room_pt / len(group)) for c in narrow]
-        parts.append((tuple(group), size_pt, shared_widths(wide, narrow, room_pt)))
+        natural_pt = [natural[c] for c in group]
+        least_pt = [least[c] for c in group]
+        if sum(least_pt) > room_pt:  # one column beside the first: a word is broken
+            least_pt = [min(c, room_pt / len(group)) for c in least_pt]
+        parts.append((tuple(group), size_pt, shared_widths(natural_pt, least_pt, room_pt)))
     return parts
 
 
@@ -166,12 +166,12 @@ def shared_widths(
     spare = room - sum(natural)
     if spare >= 0.0:
         return tuple(width + spare / len(natural) for width in natural)
-    low, high = 0.0, max(natural)
+    narrow, wide = 0.0, max(natural)
     for _ in range(60):
-        level = 0.5 * (low + high)
+        level = 0.5 * (narrow + wide)
         taken = sum(min(n, max(m, level)) for n, m in zip(natural, least, strict=True))
-        low, high = (level, high) if taken <= room else (low, level)
-    return tuple(round(min(n, max(m, low)), 6) for n, m in zip(natural, least, strict=True))
+        narrow, wide = (level, wide) if taken <= room else (narrow, level)
+    return tuple(round(min(n, max(m, narrow)), 6) for n, m in zip(natural, least, strict=True))
 
 
 def _extents(table: Table, size_pt: float) -> tuple[list[float], list[float]]:
@@ -180,17 +180,19 @@ def _extents(table: Table, size_pt: float) -> tuple[list[float], list[float]]:
     for column, name in enumerate(table.header):
         rows = ((row[column], BOLD if failing(row)[column] else FONT) for row in table.rows)
         cells = [(name, BOLD), *rows]
-        whole = max(width_pt(text, font, size_pt) for text, font in cells)
-        word = max(width_pt(w, font, size_pt) for text, font in cells for w in text.split() or [""])
+        text_pt = max(width_pt(text, font, size_pt) for text, font in cells)
+        word_pt = max(
+            width_pt(w, font, size_pt) for text, font in cells for w in text.split() or [""]
+        )
         if name == "note":
-            word = max(word, min(whole, _NOTE_PT))
+            word_pt = max(word_pt, min(text_pt, _NOTE_PT))
         beside_pt = 0.5 + _PADDING_PT + (_LEFT_PT if column and table.left_aligned[column] else 0.0)
-        natural.append(whole + beside_pt)
-        least.append(word + beside_pt)
+        natural.append(text_pt + beside_pt)
+        least.append(word_pt + beside_pt)
     return natural, least
 
 
-def _drawn(
+def _drawn_table(
     table: Table,
     lines: Sequence[Sequence[str]],
     columns: Sequence[int],
@@ -201,7 +203,7 @@ def _drawn(
         return None
     rule, shade = Color(0.75, 0.75, 0.75), Color(0.93, 0.93, 0.93)
     left = table.left_aligned
-    look: list[tuple[str, tuple[int, int], tuple[int, int], *tuple[Any, ...]]] = [
+    cell_styles: list[tuple[str, tuple[int, int], tuple[int, int], *tuple[Any, ...]]] = [
         ("VALIGN", (0, 0), (-1, -1), "TOP"),
         ("LINEBELOW", (0, 0), (-1, -1), 0.4, rule),
         ("LEFTPADDING", (0, 0), (-1, -1), _PADDING_PT / 2),
@@ -209,18 +211,18 @@ def _drawn(
         ("TOPPADDING", (0, 0), (-1, -1), 1.8),
         ("BOTTOMPADDING", (0, 0), (-1, -1), 2.2),
     ]
-    look += [
-        ("LEFTPADDING", (at, 0), (at, -1), _LEFT_PT + _PADDING_PT / 2)
-        for at, c in enumerate(columns)
-        if at and left[c]
+    cell_styles += [
+        ("LEFTPADDING", (position, 0), (position, -1), _LEFT_PT + _PADDING_PT / 2)
+        for position, c in enumerate(columns)
+        if position and left[c]
     ]
     cells = []
     for number, line in enumerate(lines):
         head = table.headed and number == 0
         bold = (True,) * len(line) if head else failing(line)
-        look += [
-            ("BACKGROUND", (at, number), (at, number), shade)
-            for at, c in enumerate(columns)
+        cell_styles += [
+            ("BACKGROUND", (position, number), (position, number), shade)
+            for position, c in enumerate(columns)
             if bold[c] and not head
         ]
         cells.append(
@@ -234,5 +236,5 @@ def _drawn(
         colWidths=list(widths_pt),
         repeatRows=1 if table.headed and len(lines) > 1 else 0,
         splitInRow=1,
-        style=look,
+        style=cell_styles,
     )

@@ -35,19 +35,19 @@ def write_document(document: Document, folder: Path, stem: str) -> Path:
 
     document = document.shown()
     with together():
-        old = _figure_files(folder, stem)
+        old_files = _figure_files(folder, stem)
         with staging_folder(folder) as temporary, laid_out(document.figures.values()):
             svgs = {}
             for name, figure in document.figures.items():
                 # A figure file has lines with job, machine and verdict above the figure.
                 with headed(figure, _head(document)) as area:
                     # Not with_suffix: it would cut the feed in "auto-0.6m-per-s".
-                    alone = f"{temporary / stem}-{name}"
+                    figure_stem = f"{temporary / stem}-{name}"
                     svg = svg_text(figure, area)
-                    Path(f"{alone}.svg").write_text(svg, encoding="utf-8")
+                    Path(f"{figure_stem}.svg").write_text(svg, encoding="utf-8")
                     svgs[name] = without_head(svg, area.height - figure.get_figheight())
                     figure.savefig(
-                        f"{alone}.png", dpi=_PNG_DPI, metadata={"Software": None},
+                        f"{figure_stem}.png", dpi=_PNG_DPI, metadata={"Software": None},
                         bbox_inches=area, pil_kwargs=_PNG,
                     )  # fmt: skip
             for name, content in document.beside.items():
@@ -55,16 +55,16 @@ def write_document(document: Document, folder: Path, stem: str) -> Path:
             page = temporary / f"{stem}.html"
             page.write_text(html_page(document, svgs), encoding="utf-8")
             write_pdf(document, temporary / f"{stem}.pdf")
-            made = {file.name for file in temporary.iterdir()}
-        for name in old - made:
+            new_files = {file.name for file in temporary.iterdir()}
+        for name in old_files - new_files:
             remove_with(folder / name)
     return folder / f"{stem}.html"
 
 
 def _head(document: Document) -> list[str]:
     """Return the lines above a figure file: title and verdicts."""
-    about = ": ".join(filter(None, (document.title, document.subtitle)))
-    return [about, *(text for text, _ in document.verdicts)]
+    title = ": ".join(filter(None, (document.title, document.subtitle)))
+    return [title, *(text for text, _ in document.verdicts)]
 
 
 def _figure_files(folder: Path, stem: str) -> set[str]:

@@ -135,9 +135,9 @@ class _Run:
 
 def scene_of(proof: Proof) -> Scene:
     """Return the scene of the first run of a proof."""
-    made, off = _SCENES[type(proof.plan.intent)]
+    make_scene, error_of = _SCENES[type(proof.plan.intent)]
     run = _sampled(proof)
-    return made(proof, replace(run, off=off(proof, run)))
+    return make_scene(proof, replace(run, off=error_of(proof, run)))
 
 
 def _axes(proof: Proof, run: _Run) -> Scene:
@@ -163,45 +163,50 @@ def _sampled(proof: Proof) -> _Run:
     end_s = max(plan.duration_s, 1e-3)
     frames = int(min(MOST_FRAMES, max(24.0, min(end_s, _LONGEST_S) * _PER_SECOND)))
     time_s = np.linspace(0.0, end_s, frames * _TRAIL_PER_FRAME)
-    known = {channel.name for channel in recording.channels}
-    names = [one for one in known if one.endswith(".frame") or one == "needle"]
+    channel_names = {channel.name for channel in recording.channels}
+    names = [
+        channel_name
+        for channel_name in channel_names
+        if channel_name.endswith(".frame") or channel_name == "needle"
+    ]
     loads = {
-        name: f"{name}.load" if f"{name}.load" in known else f"{name}.measured"
+        name: f"{name}.load" if f"{name}.load" in channel_names else f"{name}.measured"
         for name in plan.axes
     }
-    wanted = {*names, *(load for load in loads.values() if load in known)}
-    wanted |= {f"{name}.commanded" for name in plan.axes}
+    wanted_names = {*names, *(load for load in loads.values() if load in channel_names)}
+    wanted_names |= {f"{name}.commanded" for name in plan.axes}
     at = {
-        name: np.interp(time_s, *samples) for name, samples in recording.samples_of(wanted).items()
+        name: np.interp(time_s, *samples)
+        for name, samples in recording.samples_of(wanted_names).items()
     }
     actual, planned = {}, {}
     for name, load in loads.items():
         scale = 1.0 if _is_turning(plan.machine, name) else _MM
         planned[name] = scale * at[f"{name}.commanded"]
-        actual[name] = scale * at[load] if load in known else planned[name]
+        actual[name] = scale * at[load] if load in channel_names else planned[name]
     other = {name: at[name] for name in names}
     return _Run(time_s, actual, planned, np.arange(frames) * _TRAIL_PER_FRAME, other)
 
 
 def _swing(_proof: Proof, run: _Run) -> _Error:
-    swings = [values for name, values in run.other.items() if name.endswith(".frame")]
-    return (_MM * np.hypot.reduce(swings), None, "swing of the frame") if swings else _NONE
+    swings_m = [values for name, values in run.other.items() if name.endswith(".frame")]
+    return (_MM * np.hypot.reduce(swings_m), None, "swing of the frame") if swings_m else _NONE
 
 
 def _off_command(proof: Proof, run: _Run) -> _Error:
-    off = [run.actual[name] - run.planned[name] for name in proof.plan.axes]
-    return np.hypot.reduce(off), None, "distance from the commanded place"
+    offsets_mm = [run.actual[name] - run.planned[name] for name in proof.plan.axes]
+    return np.hypot.reduce(offsets_mm), None, "distance from the commanded place"
 
 
 def _off_path(proof: Proof, run: _Run) -> _Error:
     if proof.plan.machine.without_dynamics:
         return _NONE
     limits = [one.limit for one in proof.spec.criteria if one.name == "contour_error" and one.limit]
-    found = contour_along(proof.recording, proof.plan, proof.spec.lag_s)
-    if found is None or not len(found[0]):
+    contour = contour_along(proof.recording, proof.plan, proof.spec.lag_s)
+    if contour is None or not len(contour[0]):
         return _off_command(proof, run)
     limit = _MM * limits[0] if limits else None
-    return _MM * np.interp(run.time_s, *found), limit, "distance from the programmed path"
+    return _MM * np.interp(run.time_s, *contour), limit, "distance from the programmed path"
 
 
 def _view(turned: float = _TURN, raised: float = _RAISE) -> tuple[FloatArray, FloatArray]:
@@ -229,9 +234,9 @@ def _made(
     group, actual, planned = path
     end_s = float(run.time_s[-1])
     played_s = min(max(end_s, 1.0), _LONGEST_S)
-    alone = proof.plan.machine.without_dynamics
+    without_dynamics = proof.plan.machine.without_dynamics
     labels: tuple[tuple[str, bool], ...] = (("planned", True),)
-    labels += ((_DONE if alone else _ACTUAL, False),)
+    labels += ((_DONE if without_dynamics else _ACTUAL, False),)
     return Scene(
         title=f"{proof.plan.job.name} on {proof.plan.machine.name}",
         facts=(closing(proof.verdict), *notes),
@@ -263,11 +268,11 @@ def _moving(run: _Run, **shifts: FloatArray) -> Group:
 def _box(x: tuple[float, float], y: tuple[float, float], z: tuple[float, float]) -> FloatArray:
     """Return the edges of a box as one line with gaps."""
     gap = [[math.nan] * 3]
-    ring = [(0, 0), (1, 0), (1, 1), (0, 1), (0, 0)]
+    corners = [(0, 0), (1, 0), (1, 1), (0, 1), (0, 0)]
     rows: list[list[float]] = []
     for level in (0, 1):
-        rows += [[x[i], y[j], z[level]] for i, j in ring] + gap
-    for i, j in ring[:4]:
+        rows += [[x[i], y[j], z[level]] for i, j in corners] + gap
+    for i, j in corners[:4]:
         rows += [[x[i], y[j], z[0]], [x[i], y[j], z[1]], *gap]
     return np.array(rows)
 
@@ -277,40 +282,40 @@ def _winder(proof: Proof, run: _Run, turning: str, going: list[str]) -> Scene:
     machine = proof.plan.machine
     axis = machine.axes[turning]
     x, feed = run.actual[going[0]], run.actual[going[1]] if len(going) > 1 else None
-    low, high = float(x.min()), float(x.max())
-    margin = max(0.12 * (high - low), 20.0)
-    along = np.linspace(low - margin, high + margin, 60)
+    first_mm, last_mm = float(x.min()), float(x.max())
+    margin = max(0.12 * (last_mm - first_mm), 20.0)
+    x_mm = np.linspace(first_mm - margin, last_mm + margin, 60)
     if axis.profile is None:
         radius = np.full(
-            len(along), _MM * float(machine.radius_m[list(machine.axes).index(turning)])
+            len(x_mm), _MM * float(machine.radius_m[list(machine.axes).index(turning)])
         )
     else:
-        at, size = (
-            [_MM * one.si for one in each] for each in (axis.profile.at, axis.profile.radius)
+        profile_x_mm, profile_radius_mm = (
+            [_MM * one.si for one in column] for column in (axis.profile.at, axis.profile.radius)
         )
-        radius = np.interp(along, at, size)
+        radius = np.interp(x_mm, profile_x_mm, profile_radius_mm)
     largest = float(radius.max())
-    around = np.linspace(0.0, 2.0 * math.pi, 49)
+    angles = np.linspace(0.0, 2.0 * math.pi, 49)
     body = []
-    for index in (0, len(along) - 1, *range(6, len(along) - 6, 12)):
-        ring = radius[index] * np.exp(1j * around)
-        edge = index in (0, len(along) - 1)
+    for index in (0, len(x_mm) - 1, *range(6, len(x_mm) - 6, 12)):
+        ring = radius[index] * np.exp(1j * angles)
+        is_end = index in (0, len(x_mm) - 1)
         body.append(
             Drawn(
-                np.column_stack([np.full(49, along[index]), ring.real, ring.imag]),
+                np.column_stack([np.full(49, x_mm[index]), ring.real, ring.imag]),
                 "mandrel",
-                0.55 if edge else 0.18,
-                1.2 if edge else 0.7,
+                0.55 if is_end else 0.18,
+                1.2 if is_end else 0.7,
             )
         )
-    for turn in np.linspace(0.0, 2.0 * math.pi, 8, endpoint=False).tolist():
-        line = np.column_stack([along, radius * math.cos(turn), radius * math.sin(turn)])
+    for angle in np.linspace(0.0, 2.0 * math.pi, 8, endpoint=False).tolist():
+        line = np.column_stack([x_mm, radius * math.cos(angle), radius * math.sin(angle)])
         body.append(
-            Drawn(line, "mandrel", 0.55 if turn == 0.0 else 0.2, 1.2 if turn == 0.0 else 0.7)
+            Drawn(line, "mandrel", 0.55 if angle == 0.0 else 0.2, 1.2 if angle == 0.0 else 0.7)
         )
     front = -(largest + max(30.0, 0.5 * largest))
     bed = -(largest + 25.0)
-    ends = (float(along[0]), float(along[-1]))
+    ends = (float(x_mm[0]), float(x_mm[-1]))
     body += [
         Drawn(_box(ends, (front - 14.0, front + 14.0), (bed - 8.0, bed)), FIXED, 0.4),
         Drawn(_box((ends[0] - 45.0, ends[0]), (-30.0, 30.0), (bed, 30.0)), FIXED, 0.6, 1.2),
@@ -330,10 +335,12 @@ def _winder(proof: Proof, run: _Run, turning: str, going: list[str]) -> Scene:
     ]
 
     def laid(values: Mapping[str, FloatArray]) -> FloatArray:
-        place = values[going[0]]
-        size = np.interp(place, along, radius)
-        turn = math.pi - values[turning]  # the fibre is laid on the carriage's side
-        return np.column_stack([place, size * np.cos(turn), size * np.sin(turn)])
+        laid_x_mm = values[going[0]]
+        profile_radius_mm = np.interp(laid_x_mm, x_mm, radius)
+        angle = math.pi - values[turning]  # the fibre is laid on the carriage's side
+        return np.column_stack(
+            [laid_x_mm, profile_radius_mm * np.cos(angle), profile_radius_mm * np.sin(angle)]
+        )
 
     groups = {
         "mandrel": Group(np.zeros((len(run.frames), 3)), run.actual[turning][run.frames]),
@@ -358,9 +365,9 @@ def _stitcher(proof: Proof, run: _Run, going: list[str]) -> Scene:
     """Return the scene of a stitcher from above: the cloth, the moving head, and the seam."""
     actual, planned = _flat(run.actual, going), _flat(run.planned, going)
     low, high, size = _bounds(planned)
-    edge = 0.12 * size
-    around = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1], [-1, -1]])
-    cloth = np.where(around < 0, low[:2], high[:2]) + edge * around
+    margin = 0.12 * size
+    corner_signs = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1], [-1, -1]])
+    cloth = np.where(corner_signs < 0, low[:2], high[:2]) + margin * corner_signs
     ring = 0.025 * size * np.exp(1j * np.linspace(0.0, 2.0 * math.pi, 25))
     lines = [
         Drawn(np.column_stack([cloth, np.zeros(5)]), FIXED, 0.45, 1.2),
@@ -381,14 +388,14 @@ def _embroidery(proof: Proof, run: _Run) -> Scene:
     names = list(proof.plan.axes)[:2]
     actual, planned = _flat(run.actual, names), _flat(run.planned, names)
     low, high, size = _bounds(planned)
-    edge = 0.12 * size
+    margin = 0.12 * size
     corner = [[low[0], low[1]], [high[0], low[1]], [high[0], high[1]], [low[0], high[1]]]
     frame = np.array([*corner, corner[0]])
     outward = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1], [-1, -1]])
-    flat = np.zeros(5)
+    zeros = np.zeros(5)
     lines = [
-        Drawn(np.column_stack([frame + 0.8 * edge * outward, flat]), "frame", 0.3, 0.8),
-        Drawn(np.column_stack([frame + edge * outward, flat]), "frame", 0.85, 2.0),
+        Drawn(np.column_stack([frame + 0.8 * margin * outward, zeros]), "frame", 0.3, 0.8),
+        Drawn(np.column_stack([frame + margin * outward, zeros]), "frame", 0.85, 2.0),
         Drawn(
             0.03 * size * np.array([[-1, -1, 0], [0, 0, 0], [1, -1, 0], [-1, -1, 0]]),
             FIXED,
@@ -407,28 +414,36 @@ def _placer(proof: Proof, run: _Run) -> Scene:
     z = run.actual[names[1]] if len(names) > 1 else np.zeros_like(x)
     sway = {one: values for one, values in run.other.items() if one.endswith(".frame")}
     swing = _MM * _SWING_DRAWN * sway.get(f"{names[0]}.frame", np.zeros_like(x))
-    wide, deep = max(float(x.max()), 1.0), max(float(z.max()), 1.0)
-    foot = -1.5 * deep
-    beam = 0.25 * deep
+    width, depth = max(float(x.max()), 1.0), max(float(z.max()), 1.0)
+    foot = -1.5 * depth
+    beam = 0.25 * depth
     lines = [
         Drawn(
-            _box((-0.2 * wide, 1.2 * wide), (-8.0, 8.0), (beam, beam + 0.12 * deep)),
+            _box((-0.2 * width, 1.2 * width), (-8.0, 8.0), (beam, beam + 0.12 * depth)),
             "frame",
             0.8,
             1.4,
         ),
-        Drawn(_box((-0.2 * wide, -0.15 * wide), (-8.0, 8.0), (foot, beam)), "frame", 0.7),
-        Drawn(_box((1.15 * wide, 1.2 * wide), (-8.0, 8.0), (foot, beam)), "frame", 0.7),
+        Drawn(_box((-0.2 * width, -0.15 * width), (-8.0, 8.0), (foot, beam)), "frame", 0.7),
+        Drawn(_box((1.15 * width, 1.2 * width), (-8.0, 8.0), (foot, beam)), "frame", 0.7),
         Drawn(
-            np.array([[-0.3 * wide, 0, foot], [1.3 * wide, 0, foot]], dtype=float), FIXED, 0.6, 2.0
+            np.array([[-0.3 * width, 0, foot], [1.3 * width, 0, foot]], dtype=float),
+            FIXED,
+            0.6,
+            2.0,
         ),
         Drawn(
-            _box((-0.06 * wide, 0.06 * wide), (-10.0, 10.0), (0.05 * deep, beam)), "slide", 0.9, 1.4
+            _box((-0.06 * width, 0.06 * width), (-10.0, 10.0), (0.05 * depth, beam)),
+            "slide",
+            0.9,
+            1.4,
         ),
         Drawn(
-            _box((-0.012 * wide, 0.012 * wide), (-2.0, 2.0), (0.0, 1.15 * deep)), "rod", 0.6, 1.0
+            _box((-0.012 * width, 0.012 * width), (-2.0, 2.0), (0.0, 1.15 * depth)), "rod", 0.6, 1.0
         ),
-        Drawn(_box((-0.04 * wide, 0.04 * wide), (-8.0, 8.0), (-0.1 * deep, 0.0)), "rod", 0.95, 1.6),
+        Drawn(
+            _box((-0.04 * width, 0.04 * width), (-8.0, 8.0), (-0.1 * depth, 0.0)), "rod", 0.95, 1.6
+        ),
     ]
     groups = {
         "frame": _moving(run, x=swing),
@@ -452,8 +467,8 @@ def _gantry(proof: Proof, run: _Run, names: list[str]) -> Scene:
     """Return the scene of a machine with axes X, Y, Z: a table, a bridge over it, and the tool."""
     actual, planned = _flat(run.actual, names), _flat(run.planned, names)
     low, high, size = _bounds(planned)
-    edge = 0.12 * size
-    x, y = (low[0] - edge, high[0] + edge), (low[1] - edge, high[1] + edge)
+    margin = 0.12 * size
+    x, y = (low[0] - margin, high[0] + margin), (low[1] - margin, high[1] + margin)
     floor = float(low[2]) - 0.04 * size
     top = float(high[2]) + 0.2 * size
     table = [

@@ -37,7 +37,7 @@ def stitch_lines(proof: Proof, recording: Recording) -> Iterator[str]:
     turns, pace, sewn = stitched.turns, stitched.pace, run.sewn
     limits = _limits(proof)
     share = np.max(sewn.residual_m / limits, axis=1)
-    uses = window_uses(stitched)
+    window_shares = window_uses(stitched)
     window_s = turns.window * float(stitched.commands.clock.period_s)
     numbers: list[tuple[str, IntArray]] = [
         ("block", turns.block), ("stitch", turns.stitch), ("record", turns.line)
@@ -46,12 +46,12 @@ def stitch_lines(proof: Proof, recording: Recording) -> Iterator[str]:
     columns: list[tuple[str, FloatArray]] = []
     for k, axis in enumerate(plan.axes):
         columns.append((f"{axis} [mm]", stitched.places_m[run.turns, k] * 1e3))
-        way = turns.moves.units[run.turns, k] * pace.tables.unit.si
-        columns.append((f"move {axis} [mm]", np.asarray(way * 1e3)))
+        move_m = turns.moves.units[run.turns, k] * pace.tables.unit.si
+        columns.append((f"move {axis} [mm]", np.asarray(move_m * 1e3)))
     columns += [
         ("speed [stitch/min]", _MINUTE / turns.turn_s[run.turns]),
         ("window [ms]", np.asarray(window_s[run.turns] * 1e3)),
-        ("window_use", uses[run.turns]),
+        ("window_use", window_shares[run.turns]),
     ]
     for k, axis in enumerate(plan.axes):
         columns += [
@@ -66,21 +66,21 @@ def stitch_lines(proof: Proof, recording: Recording) -> Iterator[str]:
     ]
     yield ",".join([*(name for name, _ in numbers), *(name for name, _ in columns)])
     for first in range(0, len(run.turns), _ROWS):
-        part = slice(first, first + _ROWS)
-        whole = [values[run.turns[part]].tolist() for _, values in numbers]
-        cells = [values[part].tolist() for _, values in columns]
-        for row in zip(*whole, *cells, strict=True):
+        rows = slice(first, first + _ROWS)
+        number_cells = [values[run.turns[rows]].tolist() for _, values in numbers]
+        cells = [values[rows].tolist() for _, values in columns]
+        for row in zip(*number_cells, *cells, strict=True):
             yield ",".join(_cell(value) for value in row)
 
 
 def _limits(proof: Proof) -> FloatArray:
     """Return (A,) limits of the residual, m; NaN for none."""
-    found = {
+    by_axis = {
         result.axis: result.limit
         for result in proof.verdict.results
         if result.name == "stitch_residual" and result.limit
     }
-    return np.array([found.get(axis, np.nan) for axis in proof.plan.axes], dtype=np.float64)
+    return np.array([by_axis.get(axis, np.nan) for axis in proof.plan.axes], dtype=np.float64)
 
 
 def _cell(value: float) -> str:
@@ -108,9 +108,13 @@ _SHARES = ("stitch_length_error", "contour_error")
 
 def seam_run(proof: Proof) -> DrawnRun:
     """Return the run with the stitch that has the largest used share of a limit."""
-    worst = [w for w in (worst_result(proof.verdict, name) for name in _SHARES) if w is not None]
-    used = max(worst, key=lambda w: abs(w.measured or 0.0) / (w.limit or np.inf), default=None)
-    return drawn_run(proof, [] if used is None else [used.name])
+    worst_results = [
+        w for w in (worst_result(proof.verdict, name) for name in _SHARES) if w is not None
+    ]
+    worst_used = max(
+        worst_results, key=lambda w: abs(w.measured or 0.0) / (w.limit or np.inf), default=None
+    )
+    return drawn_run(proof, [] if worst_used is None else [worst_used.name])
 
 
 def seam_figure(proof: Proof, recording: Recording) -> Figure | None:
@@ -126,7 +130,7 @@ def seam_figure(proof: Proof, recording: Recording) -> Figure | None:
     length_limit = (length.limit if length else None) or _LENGTH
     place_limit = (place.limit if place else None) or _PLACE
     sewn = sewn_stitches(proof.plan, recording, delay_s)
-    drawn, counts = _drawn(_columns(run, length_limit, place_limit) for run in sewn)
+    drawn, counts = _stitches_to_draw(_columns(run, length_limit, place_limit) for run in sewn)
     if not len(drawn):
         return None
     number, contour, exempt = (drawn[:, k].astype(int) for k in range(3))
@@ -174,7 +178,7 @@ def _columns(run: SewnStitches, length_limit: float, place_limit: float) -> Floa
     )
 
 
-def _drawn(runs: Iterable[FloatArray]) -> tuple[FloatArray, IntArray]:
+def _stitches_to_draw(runs: Iterable[FloatArray]) -> tuple[FloatArray, IntArray]:
     """Return the stitches to draw, (m, 9), and the number of all stitches in each band.
 
     If there are many, every second, fourth and so on is drawn, and ``ABOUT`` stitches on both
@@ -182,7 +186,7 @@ def _drawn(runs: Iterable[FloatArray]) -> tuple[FloatArray, IntArray]:
     """
     bounds = np.array([high for _, high, *_ in _BANDS[:-1]])
     counts = np.zeros(len(_BANDS), dtype=np.int64)
-    others: list[FloatArray] = []
+    thinned: list[FloatArray] = []
     about_worst: FloatArray = np.empty((0, 9))
     count, step, worst = 0, 1, -1.0
     for columns in runs:
@@ -190,16 +194,19 @@ def _drawn(runs: Iterable[FloatArray]) -> tuple[FloatArray, IntArray]:
         share = rows[:, 7:].max(axis=1)
         counts += np.bincount(np.searchsorted(bounds, share), minlength=len(_BANDS))
         if len(rows) and share.max() > worst:
-            at = int(share.argmax())
-            worst, about_worst = float(share[at]), rows[max(at - ABOUT, 0) : at + ABOUT + 1]
+            worst_index = int(share.argmax())
+            worst, about_worst = (
+                float(share[worst_index]),
+                rows[max(worst_index - ABOUT, 0) : worst_index + ABOUT + 1],
+            )
         count += len(rows)
-        others.append(rows[rows[:, 0] % step == 0])
-        while sum(map(len, others)) > MAX_DRAWN:
+        thinned.append(rows[rows[:, 0] % step == 0])
+        while sum(map(len, thinned)) > MAX_DRAWN:
             step *= 2
-            kept = np.concatenate(others)
-            others = [kept[kept[:, 0] % step == 0]]
-    every = np.concatenate([about_worst, *others])
-    return every[np.unique(every[:, 0], return_index=True)[1]], counts
+            thinned_rows = np.concatenate(thinned)
+            thinned = [thinned_rows[thinned_rows[:, 0] % step == 0]]
+    all_drawn = np.concatenate([about_worst, *thinned])
+    return all_drawn[np.unique(all_drawn[:, 0], return_index=True)[1]], counts
 
 
 def _draw(
@@ -215,17 +222,17 @@ def _draw(
         line = seam[contour == k]
         label = "seam" if k == contour[0] else None
         panel.plot(line[:, 0], line[:, 1], color="0.55", lw=0.7, zorder=1, label=label)
-    low = -1.0
+    band_low = -1.0
     for (label, high, marker, area, colour, filled), count in zip(
         _BANDS, counts.tolist(), strict=True
     ):
-        chosen = (share > low) & (share <= high)
-        low = high
-        if not chosen.any():
+        in_band = (share > band_low) & (share <= high)
+        band_low = high
+        if not in_band.any():
             continue
         panel.scatter(
-            points[chosen, 0],
-            points[chosen, 1],
+            points[in_band, 0],
+            points[in_band, 1],
             s=area,
             marker=marker,
             facecolors=colour if filled else "white",

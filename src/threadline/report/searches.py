@@ -37,25 +37,27 @@ def experiment_figure(campaign: Campaign) -> tuple[Figure, str]:
 
     figure = Figure(figsize=(7.2, 6.4), layout="constrained")
     grid = figure.subplots(2, 2)
-    forth = sorted((s for s in campaign.steps if s[0] > 0), key=lambda step: step[0])
-    shades = np.linspace(0.75, 0.0, len(forth))
-    until = 0.0
-    for (size, run), shade in zip(forth, shades, strict=True):
-        label = f"{size / np.pi:.4g} pi rad"
+    forward_steps = sorted((s for s in campaign.steps if s[0] > 0), key=lambda step: step[0])
+    shades = np.linspace(0.75, 0.0, len(forward_steps))
+    shown_s = 0.0
+    for (step_rad, run), shade in zip(forward_steps, shades, strict=True):
+        label = f"{step_rad / np.pi:.4g} pi rad"
         for axes, share in ((grid[0, 0], run.share), (grid[0, 1], run.load_share)):
             axes.plot(run.time_s, share, color=str(shade), lw=0.9, label=label)
-        away = np.flatnonzero(np.abs(run.load_share - 1.0) > _STILL)
-        until = max(until, float(run.time_s[away[-1]]) if len(away) else 0.0)
-    for axes, what in ((grid[0, 0], "motor"), (grid[0, 1], "load")):
+        outside = np.flatnonzero(np.abs(run.load_share - 1.0) > _STILL)
+        shown_s = max(shown_s, float(run.time_s[outside[-1]]) if len(outside) else 0.0)
+    for axes, output in ((grid[0, 0], "motor"), (grid[0, 1], "load")):
         axes.axhline(1.0, color="0.6", lw=0.6)
-        axes.set_xlim(0.0, min(1.05 * until, _LATEST_S))
+        axes.set_xlim(0.0, min(1.05 * shown_s, _LATEST_S))
         axes.set_xlabel("time [s]")
-        axes.set_ylabel(f"{what}, share of the step")
+        axes.set_ylabel(f"{output}, share of the step")
     grid[0, 1].legend(fontsize=6, loc="lower right")
     _over_size(grid[1, 0], campaign, lambda run: run.peak_current_a)
-    top = max((run.peak_current_a for _, run in campaign.steps if run.saturated), default=None)
-    if top is not None:
-        grid[1, 0].axhline(top, label="limit", **LIMIT)
+    current_limit_a = max(
+        (run.peak_current_a for _, run in campaign.steps if run.saturated), default=None
+    )
+    if current_limit_a is not None:
+        grid[1, 0].axhline(current_limit_a, label="limit", **LIMIT)
         grid[1, 0].legend(fontsize=6, loc="lower right")
     grid[1, 0].set_ylabel("largest current [A]")
     _over_size(grid[1, 1], campaign, lambda run: 100.0 * run.load_overshoot)
@@ -71,14 +73,14 @@ def experiment_figure(campaign: Campaign) -> tuple[Figure, str]:
 
 def _over_size(axes: Axes, campaign: Campaign, of: Callable[[StepRun], float]) -> None:
     """Draw one number of every step over the size of the step, forward and back separately."""
-    back = {**WORST, "markersize": 6}
+    back_style = {**WORST, "markersize": 6}
     for sign, label, style in (
         (1, "forth", {**ACTUAL, "marker": "o", "markersize": 3}),
-        (-1, "back", back),
+        (-1, "back", back_style),
     ):
-        shown = [(abs(size), of(run)) for size, run in campaign.steps if sign * size > 0]
-        if shown:
-            sizes, values = zip(*sorted(shown), strict=True)
+        points = [(abs(size), of(run)) for size, run in campaign.steps if sign * size > 0]
+        if points:
+            sizes, values = zip(*sorted(points), strict=True)
             axes.semilogx(np.array(sizes) / np.pi, values, label=label, **style)
     ticks = 2.0 ** np.arange(-3, 4)
     axes.set_xticks(ticks, ["1/8", "1/4", "1/2", "1", "2", "4", "8"])
@@ -121,11 +123,11 @@ def draw_yield(found: Yield, title: str) -> Figure:
 
 def _up_to(values: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return at most ``_POINTS`` values, and the share of machines up to each."""
-    known = np.sort(values[np.isfinite(values)])
-    if not len(known):
-        return known, known
-    at = np.unique(np.linspace(0, len(known) - 1, _POINTS).astype(np.int64))
-    return known[at], (at + 1.0) / len(values)
+    measured = np.sort(values[np.isfinite(values)])
+    if not len(measured):
+        return measured, measured
+    indices = np.unique(np.linspace(0, len(measured) - 1, _POINTS).astype(np.int64))
+    return measured[indices], (indices + 1.0) / len(values)
 
 
 def write_yield(found: Yield, title: str, folder: Path) -> Path:
@@ -144,7 +146,7 @@ def draw_mismatch(cells: Sequence[Mismatch], title: str, searched: Searched) -> 
     """Return a figure of the fastest setting in spec over the stiffness, a line for each mass."""
     with figure_style():
         figure = Figure(figsize=(5.6, 3.4))
-        axes, gaps = figure.add_subplot(), False
+        axes, has_gaps = figure.add_subplot(), False
         for style, mass in zip(AXES, sorted({cell.mass for cell in cells}), strict=False):
             row = sorted((c for c in cells if c.mass == mass), key=lambda cell: cell.stiffness)
             axes.plot(
@@ -154,15 +156,15 @@ def draw_mismatch(cells: Sequence[Mismatch], title: str, searched: Searched) -> 
                 label=f"loads: {_NAMES[mass]}",
                 **style,
             )
-            below = [
-                (cell.stiffness, searched.per_unit * one.high)
+            slower_ends = [
+                (cell.stiffness, searched.per_unit * interval.high)
                 for cell in row
-                for one in sorted(cell.intervals, key=lambda one: -one.high)[1:]
+                for interval in sorted(cell.intervals, key=lambda interval: -interval.high)[1:]
             ]
-            if below:
-                axes.plot(*zip(*below, strict=True), "o", mfc="white", mec=style["color"])
-                gaps = True
-        if gaps:
+            if slower_ends:
+                axes.plot(*zip(*slower_ends, strict=True), "o", mfc="white", mec=style["color"])
+                has_gaps = True
+        if has_gaps:
             axes.plot([], [], "o", mfc="white", mec="0.3", label="end of a slower range in spec")
         axes.set_xticks(list(_NAMES), [f"springs: {name}" for name in _NAMES.values()])
         axes.set_ylim(bottom=0.0)
@@ -173,8 +175,8 @@ def draw_mismatch(cells: Sequence[Mismatch], title: str, searched: Searched) -> 
         else:
             axes.set_ylim(0.0, 1.0)
             axes.set_yticks([0.0])
-            said = _nothing(cells, searched.name)
-            axes.text(0.5, 0.5, said, transform=axes.transAxes, ha="center", va="center")
+            nothing_text = _nothing(cells, searched.name)
+            axes.text(0.5, 0.5, nothing_text, transform=axes.transAxes, ha="center", va="center")
     return figure
 
 

@@ -78,10 +78,10 @@ def write_shaper(
         figures = {"sensitivity": _sensitivity(shaper, modes, tolerances), "step": _step(shaper)}
         if measured is not None:
             figures = {"measured": _measured(measured), **figures}
-        named = ", ".join(f"{m.frequency_hz:g} Hz at {m.damping_ratio:g}" for m in modes)
+        mode_texts = ", ".join(f"{m.frequency_hz:g} Hz at {m.damping_ratio:g}" for m in modes)
         document = Document(
             title=f"Shaper {shaper.name}",
-            subtitle=f"modes: {named} (undamped frequency at damping ratio)",
+            subtitle=f"modes: {mode_texts} (undamped frequency at damping ratio)",
             verdicts=(),
             warnings=tuple(warnings),
             tables=tables,
@@ -114,13 +114,13 @@ def _measured(measured: MeasuredPower) -> Figure:
     above.set(xlabel="frequency, Hz", ylabel="power, share of the peak", yscale="log")
     above.set_title(f"Power along {measured.axis}")
     above.legend()
-    seen = measured.spectrum_hz <= _MOST_HZ
-    f, power = measured.spectrum_hz[seen], measured.spectrum[seen]
+    is_shown = measured.spectrum_hz <= _MOST_HZ
+    f, power = measured.spectrum_hz[is_shown], measured.spectrum[is_shown]
     below.fill_between(f, power / power.max(), color="0.85", label="power, all axes")
-    fine = np.linspace(max(float(f[0]), 1.0), float(f[-1]), _POINTS)
+    fine_hz = np.linspace(max(float(f[0]), 1.0), float(f[-1]), _POINTS)
     for train, style in zip(measured.trains, (ACTUAL, PLANNED), strict=False):
-        left = residual_vibration(train, fine, measured.damping_ratio)
-        below.plot(fine, left, label=train.name, **style)
+        residual = residual_vibration(train, fine_hz, measured.damping_ratio)
+        below.plot(fine_hz, residual, label=train.name, **style)
     below.set(xlabel="frequency, Hz", ylabel="residual vibration V", ylim=(0.0, 1.05))
     below.set_title("What the shapers leave")
     below.legend()
@@ -134,9 +134,9 @@ def _sensitivity(
 
     figure = Figure(figsize=(7.2, 4.0))
     axes = figure.subplots()
-    low = _SPAN[0] * min(m.frequency_hz for m in modes)
-    high = _SPAN[1] * max(m.frequency_hz for m in modes)
-    f = np.linspace(low, high, _POINTS)
+    lowest_hz = _SPAN[0] * min(m.frequency_hz for m in modes)
+    highest_hz = _SPAN[1] * max(m.frequency_hz for m in modes)
+    f = np.linspace(lowest_hz, highest_hz, _POINTS)
     # The curves differ in dash and marker, for readers without colour.
     dashes = ("-", (0, (6, 2)), (0, (1, 1.5)), (0, (4, 1, 1, 1)))
     for i, damping in enumerate(dict.fromkeys((*(m.damping_ratio for m in modes), 0.0))):
@@ -146,10 +146,10 @@ def _sensitivity(
     for tolerance in dict.fromkeys(tolerances):
         axes.axhline(tolerance, label=f"tolerance {tolerance:g}", **LIMIT)
     # The names of close modes are placed one below the other.
-    row, before = 0, -high
+    row, previous_hz = 0, -highest_hz
     for m in sorted(modes, key=lambda one: one.frequency_hz):
-        row = row + 1 if m.frequency_hz - before < _NAME_WIDE * (high - low) else 0
-        before = m.frequency_hz
+        row = row + 1 if m.frequency_hz - previous_hz < _NAME_WIDE * (highest_hz - lowest_hz) else 0
+        previous_hz = m.frequency_hz
         axes.axvline(m.frequency_hz, **{**PLANNED, "linewidth": 0.9})
         axes.annotate(
             f" {m.frequency_hz:g} Hz",
@@ -157,7 +157,9 @@ def _sensitivity(
             xycoords=axes.get_xaxis_transform(),
             bbox=_READABLE,
         )
-    axes.set(xlabel="undamped frequency, Hz", ylabel="residual vibration V", xlim=(low, high))
+    axes.set(
+        xlabel="undamped frequency, Hz", ylabel="residual vibration V", xlim=(lowest_hz, highest_hz)
+    )
     axes.set_ylim(0.0, None)
     figure.legend(loc="outside lower center", ncols=3)
     axes.set_title("Sensitivity")

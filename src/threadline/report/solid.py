@@ -47,67 +47,80 @@ def wound_glb(
     name
         Name of the scene, for people.
     """
-    made = _Glb(name)
-    made.add("mandrel", 0, *_mandrel(surface))
-    places = _thinned(surface, fibre, width_m)
-    vertices, normals = _edges(surface, fibre[places], width_m)
+    glb = _Glb(name)
+    glb.add("mandrel", 0, *_mandrel(surface))
+    rows = _thinned(surface, fibre, width_m)
+    vertices, normals = _edges(surface, fibre[rows], width_m)
     # A quadrangle joins each place to the next if both are known and neighbours in the run.
-    joined = np.isfinite(fibre[places, 0])
-    joined = joined[:-1] & joined[1:]
-    starts, slipped = np.flatnonzero(joined), np.cumsum(slips)
-    for number, part in enumerate(np.array_split(starts, _NODES)):
+    is_joined = np.isfinite(fibre[rows, 0])
+    is_joined = is_joined[:-1] & is_joined[1:]
+    starts, slipped = np.flatnonzero(is_joined), np.cumsum(slips)
+    for number, node_starts in enumerate(np.array_split(starts, _NODES)):
         for material in (1, 2):
-            slipping = slipped[places[part + 1]] > slipped[places[part]]
-            chosen = part[slipping == (material == 2)]
+            slipping = slipped[rows[node_starts + 1]] > slipped[rows[node_starts]]
+            chosen = node_starts[slipping == (material == 2)]
             if not len(chosen):
                 continue
             label = f"wound {100 * number // _NODES} to {100 * (number + 1) // _NODES} %"
             corners = 2 * chosen[:, None] + np.array([0, 2, 1, 1, 2, 3])
-            used, index = np.unique(corners, return_inverse=True)
+            vertex_numbers, triangle_corners = np.unique(corners, return_inverse=True)
             suffix = ", slips" if material == 2 else ""
-            made.add(label + suffix, material, vertices[used], normals[used], index.ravel())
-    return made.content()
+            glb.add(
+                label + suffix,
+                material,
+                vertices[vertex_numbers],
+                normals[vertex_numbers],
+                triangle_corners.ravel(),
+            )
+    return glb.content()
 
 
 def _thinned(surface: Surface, fibre: FloatArray, width_m: float) -> IntArray:
     """Return the rows to draw: evenly spaced along the fibre, and the ends of known stretches."""
     radius = float(surface.r[:, 0].min())
-    apart = max(min(0.5 * width_m, 0.2 * radius), 1e-6)
-    known = np.isfinite(fibre[:, 0])
-    u, angle = np.where(known, fibre[:, 0], 0.0), np.where(known, fibre[:, 1], 0.0)
+    spacing_m = max(min(0.5 * width_m, 0.2 * radius), 1e-6)
+    is_known = np.isfinite(fibre[:, 0])
+    u, angle = np.where(is_known, fibre[:, 0], 0.0), np.where(is_known, fibre[:, 1], 0.0)
     r = surface.at(u)[1][:, 0]
-    way = np.hypot(np.diff(u, prepend=u[:1]), r * np.diff(angle, prepend=angle[:1]))
-    jump = known & np.concatenate([[True], ~known[:-1]])
-    way[jump | ~known] = 0.0
-    length = np.cumsum(way)
-    apart = max(apart, float(length[-1]) / _MOST_PLACES)
-    step = np.floor(length / apart)
-    kept = np.concatenate([[True], np.diff(step) > 0.0]) & known
+    steps_m = np.hypot(np.diff(u, prepend=u[:1]), r * np.diff(angle, prepend=angle[:1]))
+    begins = is_known & np.concatenate([[True], ~is_known[:-1]])
+    steps_m[begins | ~is_known] = 0.0
+    along_m = np.cumsum(steps_m)
+    spacing_m = max(spacing_m, float(along_m[-1]) / _MOST_PLACES)
+    spacing_number = np.floor(along_m / spacing_m)
+    is_kept = np.concatenate([[True], np.diff(spacing_number) > 0.0]) & is_known
     # Both ends of each known stretch are kept, and one unknown row after it, so that no band
     # crosses the gap.
-    last = known & np.concatenate([~known[1:], [True]])
-    gap = ~known & np.concatenate([[False], known[:-1]])
-    return np.asarray(np.flatnonzero(kept | jump | last | gap))
+    ends = is_known & np.concatenate([~is_known[1:], [True]])
+    is_gap = ~is_known & np.concatenate([[False], is_known[:-1]])
+    return np.asarray(np.flatnonzero(is_kept | begins | ends | is_gap))
 
 
 def _in_space(surface: Surface, u: FloatArray, angle: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return (n, 3) places and outward normals."""
     x, r = surface.at(np.clip(u, 0.0, surface.length_m))
     cos, sin = np.cos(angle), np.sin(angle)
-    size = np.hypot(x[:, 1], r[:, 1])
-    out, back = x[:, 1] / size, -r[:, 1] / size
+    slope_length = np.hypot(x[:, 1], r[:, 1])
+    outward, axial = x[:, 1] / slope_length, -r[:, 1] / slope_length
     return (
         np.column_stack([x[:, 0], r[:, 0] * cos, r[:, 0] * sin]),
-        np.column_stack([back, out * cos, out * sin]),
+        np.column_stack([axial, outward * cos, outward * sin]),
     )
 
 
 def _mandrel(surface: Surface) -> tuple[FloatArray, FloatArray, IntArray]:
     u = np.repeat(np.linspace(0.0, surface.length_m, _ALONG + 1), _ROUND)
     angle = np.tile(np.arange(_ROUND) * (2.0 * np.pi / _ROUND), _ALONG + 1)
-    at = np.arange(_ALONG)[:, None] * _ROUND + np.arange(_ROUND)
-    beside = np.arange(_ALONG)[:, None] * _ROUND + (np.arange(_ROUND) + 1) % _ROUND
-    quads = [at, beside, at + _ROUND, beside, beside + _ROUND, at + _ROUND]
+    near_corner = np.arange(_ALONG)[:, None] * _ROUND + np.arange(_ROUND)
+    next_corner = np.arange(_ALONG)[:, None] * _ROUND + (np.arange(_ROUND) + 1) % _ROUND
+    quads = [
+        near_corner,
+        next_corner,
+        near_corner + _ROUND,
+        next_corner,
+        next_corner + _ROUND,
+        near_corner + _ROUND,
+    ]
     return (*_in_space(surface, u, angle), np.stack(quads, axis=-1).ravel())
 
 
@@ -161,18 +174,18 @@ class _Glb:
         )
         self._parts.append(data)  # the size of every array is a multiple of four bytes
         self._size += len(data)
-        found: dict[str, Any] = {
+        accessor: dict[str, Any] = {
             "bufferView": len(self._tables["bufferViews"]) - 1,
             "componentType": component, "count": len(values), "type": kind,
         }  # fmt: skip
         if bounds:
-            found |= {"min": values.min(axis=0).tolist(), "max": values.max(axis=0).tolist()}
-        self._tables["accessors"].append(found)
+            accessor |= {"min": values.min(axis=0).tolist(), "max": values.max(axis=0).tolist()}
+        self._tables["accessors"].append(accessor)
         return len(self._tables["accessors"]) - 1
 
     def content(self) -> bytes:
         """Return the file: header, JSON chunk padded with blanks, binary chunk."""
-        described = {
+        header = {
             "asset": {"version": "2.0", "generator": "Threadline"},
             "scene": 0,
             "scenes": [{"name": self._name, "nodes": list(range(len(self._tables["nodes"])))}],
@@ -189,7 +202,7 @@ class _Glb:
             "buffers": [{"byteLength": self._size}],
             **self._tables,
         }  # fmt: skip
-        text = json.dumps(described, separators=(",", ":")).encode()
+        text = json.dumps(header, separators=(",", ":")).encode()
         text += b" " * (-len(text) % 4)
         data = b"".join(self._parts)
         chunks = [(b"JSON", text), (b"BIN\0", data)]

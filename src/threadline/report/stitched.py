@@ -57,41 +57,46 @@ def design_figure(proof: Proof, recording: Recording) -> Figure:
 
     plan = proof.plan
     run = StitchRun(recording, plan)
-    use, said = _use(proof, run)
+    shares_used, limit_text = _shares_used(proof, run)
     figure = Figure(figsize=(7.2, 7.0))
     panel = figure.subplots()
-    places = np.vstack((np.array(plan.job.start), plan.stitched.places_m)) * 1e3
-    pieces = np.stack((places[:-1], places[1:]), axis=1)
+    places_mm = np.vstack((np.array(plan.job.start), plan.stitched.places_m)) * 1e3
+    segments = np.stack((places_mm[:-1], places_mm[1:]), axis=1)
     travel = plan.stitched.turns.moves.needle == 0
     panel.add_collection(
-        LineCollection(list(pieces[travel]), colors="0.5", linestyles=":", linewidths=0.9)
+        LineCollection(list(segments[travel]), colors="0.5", linestyles=":", linewidths=0.9)
     )
-    ends = pieces[run.turns]
+    stitch_segments = segments[run.turns]
     edges = np.linspace(0.0, 1.0, _LEVELS + 1)
     for level in range(_LEVELS):
-        low, high = edges[level], edges[level + 1]
-        last = level == _LEVELS - 1
-        chosen = (use >= low) & ((use < high) | (last & (use <= 1.0)))
+        band_low, band_high = edges[level], edges[level + 1]
+        is_last = level == _LEVELS - 1
+        in_band = (shares_used >= band_low) & (
+            (shares_used < band_high) | (is_last & (shares_used <= 1.0))
+        )
         share = level / (_LEVELS - 1)
         panel.add_collection(
             LineCollection(
-                list(ends[chosen]),
+                list(stitch_segments[in_band]),
                 colors=[_shade(share)],
                 linewidths=_THIN + share * (_THICK - _THIN),
-                label=f"{100 * low:.0f} to {100 * high:.0f} % {said}: {int(chosen.sum())}",
+                label=f"{100 * band_low:.0f} to {100 * band_high:.0f} % {limit_text}: "
+                f"{int(in_band.sum())}",
                 zorder=2 + level,
             )
         )
-    over = use > 1.0
-    panel.add_collection(LineCollection(list(ends[over]), colors=_OUT, linewidths=_THICK, zorder=8))
-    middle = ends[over].mean(axis=1)
+    over_limit = shares_used > 1.0
+    panel.add_collection(
+        LineCollection(list(stitch_segments[over_limit]), colors=_OUT, linewidths=_THICK, zorder=8)
+    )
+    middles = stitch_segments[over_limit].mean(axis=1)
     panel.plot(
-        middle[:, 0], middle[:, 1], linestyle="none", marker="x", color="black",
+        middles[:, 0], middles[:, 1], linestyle="none", marker="x", color="black",
         markersize=4, markeredgewidth=0.8, zorder=9,
     )  # fmt: skip
     panel.plot(
         [], [], color=_OUT, linewidth=_THICK, marker="x", markersize=4, markeredgecolor="black",
-        markeredgewidth=0.8, label=f"over it: {int(over.sum())}",
+        markeredgewidth=0.8, label=f"over it: {int(over_limit.sum())}",
     )  # fmt: skip
     _finish(figure, panel)
     return figure
@@ -111,25 +116,27 @@ def threads_figure(plan: Plan) -> Figure:
     panel = figure.subplots()
     panel.set_facecolor(_CLOTH)
     panel.grid(visible=False)
-    places = stitched.places_m * 1e3
-    pieces = np.stack((places[:-1], places[1:]), axis=1)
-    for one in stitched.sewn:
-        own = (stitched.turns.block == one.block)[1:] & (stitched.frame_moves == 1)[1:]
-        first = places[(stitched.turns.block == one.block) & (stitched.turns.stitch > 0)][0]
-        grey = str(_GREYS[(one.block - 1) % len(_GREYS)])
+    places_mm = stitched.places_m * 1e3
+    segments = np.stack((places_mm[:-1], places_mm[1:]), axis=1)
+    for thread in stitched.sewn:
+        in_block = (stitched.turns.block == thread.block)[1:] & (stitched.frame_moves == 1)[1:]
+        first_mm = places_mm[(stitched.turns.block == thread.block) & (stitched.turns.stitch > 0)][
+            0
+        ]
+        grey = str(_GREYS[(thread.block - 1) % len(_GREYS)])
         panel.add_collection(
             LineCollection(
-                list(pieces[own]),
-                colors=grey if one.thread is None else one.thread.rgb,
+                list(segments[in_block]),
+                colors=grey if thread.thread is None else thread.thread.rgb,
                 linewidths=1.2,
                 # An edge makes white thread visible on a light cloth, and every thread in print.
                 path_effects=[withStroke(linewidth=1.7, foreground="0.3")],
-                label=f"{one.block}  {one.thread or 'colour unknown'}: {one.stitches} stitches, "
-                f"{one.thread_m:.4g} m, {one.duration_s:.4g} s",
+                label=f"{thread.block}  {thread.thread or 'colour unknown'}: {thread.stitches} "
+                f"stitches, {thread.thread_m:.4g} m, {thread.duration_s:.4g} s",
             )
         )
         panel.annotate(
-            str(one.block), first, fontsize=7, ha="center", va="center",
+            str(thread.block), first_mm, fontsize=7, ha="center", va="center",
             bbox={"boxstyle": "circle,pad=0.15", "fc": "white", "ec": "black", "lw": 0.5},
         )  # fmt: skip
     _finish(figure, panel)
@@ -152,7 +159,7 @@ def _shade(share: float) -> tuple[float, float, float]:
     return red, green, blue
 
 
-def _use(proof: Proof, run: StitchRun) -> tuple[FloatArray, str]:
+def _shares_used(proof: Proof, run: StitchRun) -> tuple[FloatArray, str]:
     """Return (s,) used shares of the limit, stitch by stitch, and the name of the limit."""
     limits = [
         result.limit
@@ -194,18 +201,18 @@ def pace_figure(plan: Plan) -> Figure:
 
     stitched = plan.stitched
     figure = Figure(figsize=(7.2, 4.6))
-    speed, time = figure.subplots(2, 1, sharex=True)
+    speed_panel, time_panel = figure.subplots(2, 1, sharex=True)
     number = np.arange(1, len(stitched.turns) + 1)
-    speed.plot(number, _MINUTE / stitched.turns.turn_s, drawstyle="steps-mid", **ACTUAL)
+    speed_panel.plot(number, _MINUTE / stitched.turns.turn_s, drawstyle="steps-mid", **ACTUAL)
     slowest_s = stitched.slowest_s / len(number)
-    speed.axhline(_MINUTE / slowest_s, label=_SLOWEST, **PLANNED)
-    speed.set_ylabel("stitches a minute")
-    speed.set_ylim(bottom=0.0)
-    time.plot(number, np.cumsum(stitched.turns.turn_s), label="as planned", **ACTUAL)
-    time.plot(number, slowest_s * number, label=_SLOWEST, **PLANNED)
-    time.set_ylabel("s")
-    time.set_xlabel("turn of the shaft")
-    figure.legend(*time.get_legend_handles_labels(), loc="outside lower center", ncols=2)
+    speed_panel.axhline(_MINUTE / slowest_s, label=_SLOWEST, **PLANNED)
+    speed_panel.set_ylabel("stitches a minute")
+    speed_panel.set_ylim(bottom=0.0)
+    time_panel.plot(number, np.cumsum(stitched.turns.turn_s), label="as planned", **ACTUAL)
+    time_panel.plot(number, slowest_s * number, label=_SLOWEST, **PLANNED)
+    time_panel.set_ylabel("s")
+    time_panel.set_xlabel("turn of the shaft")
+    figure.legend(*time_panel.get_legend_handles_labels(), loc="outside lower center", ncols=2)
     return figure
 
 
@@ -290,7 +297,7 @@ def write_stitched(studied: ReportData, folder: Path) -> Path:
 def write_stitched_comparison(found: Comparison, folder: Path, tables: Sequence[Printed]) -> Path:
     """Write the report of a comparison of laws or speeds; return the path of the HTML page."""
     first = found.proofs[0].plan
-    good = all(proof.verdict.passed for proof in found.proofs)
+    all_passed = all(proof.verdict.passed for proof in found.proofs)
     with figure_style():
         figures: dict[str, Figure] = {"speeds": speeds_figure([p.plan for p in found.proofs])}
         captions = {"speeds": "Speed of the shaft along the design, case by case."}
@@ -303,7 +310,7 @@ def write_stitched_comparison(found: Comparison, folder: Path, tables: Sequence[
         document = Document(
             title=f"{first.job.name} on {first.machine.name}: comparison",
             subtitle=first.machine.title,
-            verdicts=[(closing_of_all([proof.verdict for proof in found.proofs]), good)],
+            verdicts=[(closing_of_all([proof.verdict for proof in found.proofs]), all_passed)],
             warnings=grouped(warnings_of_all(found.proofs)),
             tables=[Table(title=t, header=h, rows=r) for t, h, r in tables],
             figures=figures,
@@ -342,7 +349,7 @@ def _worst_table(proof: Proof, drawn: DrawnRun) -> Table:
     rows = []
     for stitch in np.argsort(-largest)[:_WORST].tolist():
         turn = int(run.turns[stitch])
-        ways = " ".join(
+        move_texts = " ".join(
             f"{axis}{value * plan.stitched.pace.tables.unit.si * 1e3:+.4g}"
             for axis, value in zip(plan.axes, turns.moves.units[turn].tolist(), strict=True)
         )
@@ -350,16 +357,16 @@ def _worst_table(proof: Proof, drawn: DrawnRun) -> Table:
             [
                 turns.name(turn),
                 str(turns.line[turn]),
-                ways,
+                move_texts,
                 f"{largest[stitch] * 1e3:.4f}",
                 f"{_MINUTE / turns.turn_s[turn]:.4g}",
                 f"{_MINUTE / alone_s[turn]:.4g}",
             ]
         )
     header = ["stitch", "record", "move mm", "residual mm", "stitches/min", "alone it can at"]
-    several = f", {run_words(proof.verdict, drawn.number)}" if drawn.words(proof) else ""
+    run_text = f", {run_words(proof.verdict, drawn.number)}" if drawn.words(proof) else ""
     return Table(
-        title=f"The stitches that are farthest off{several}",
+        title=f"The stitches that are farthest off{run_text}",
         header=header,
         rows=rows,
         note=f"All stitches of that run are in {STITCHES}, which lies beside this page.",

@@ -108,16 +108,16 @@ def headed(figure: Figure, lines: Sequence[str]) -> Iterator[Bbox]:
     from matplotlib.transforms import Bbox
 
     width, height = figure.get_size_inches().tolist()
-    most = int(width * _LETTERS_PER_IN)
-    broken = [part for line in lines for part in textwrap.wrap(line, most) or [""]]
-    strip = _LINE_IN * (len(broken) + 0.5)
+    letters_per_line = int(width * _LETTERS_PER_IN)
+    wrapped = [part for line in lines for part in textwrap.wrap(line, letters_per_line) or [""]]
+    strip_in = _LINE_IN * (len(wrapped) + 0.5)
     text = figure.text(
-        0.08 / width, 1.0 + strip / height, "\n".join(broken), va="top", ha="left",
+        0.08 / width, 1.0 + strip_in / height, "\n".join(wrapped), va="top", ha="left",
         fontsize=_HEAD_SIZE, linespacing=1.25, color="0.2", parse_math=False, gid=HEAD,
         zorder=1e3,  # drawn last: nothing else refers to its definitions
     )  # fmt: skip
     text.set_in_layout(False)
     try:
-        yield Bbox.from_extents(0.0, 0.0, width, height + strip)
+        yield Bbox.from_extents(0.0, 0.0, width, height + strip_in)
     finally:
         text.remove()

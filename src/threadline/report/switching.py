@@ -107,8 +107,8 @@ class _Bar:
         """Texts of the outputs that are on, and of further outputs that a creep turns on."""
         if self.opened is None:
             return self.place.on
-        beside = [name for name in self.opened.on if name not in self.place.on]
-        return (*self.place.on, f"creeps by {self.opened.number}:", *beside)
+        opened_outputs = [name for name in self.opened.on if name not in self.place.on]
+        return (*self.place.on, f"creeps by {self.opened.number}:", *opened_outputs)
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,16 +142,16 @@ def petri_figures(scheduled: Scheduled) -> list[Figure]:
     bars = _bars(net.places, "back to 0, or to 1\nif continuous") + _bars(home, "back to 0")
     begins = f"home leads to {home[0].number}, and then start to 1" if home else "start leads to 1"
     pages: list[list[_Row]] = []
-    full = _PAGE
+    height_used = _PAGE
     for step in dict.fromkeys(bar.place.step for bar in bars):
-        own = [bar for bar in bars if bar.place.step == step]
-        for first in range(0, len(own), _PLACES_IN_ROW):
-            row = _Row("" if first else step, own[first : first + _PLACES_IN_ROW])
-            if full + row.above + row.below > _PAGE:
+        step_bars = [bar for bar in bars if bar.place.step == step]
+        for first in range(0, len(step_bars), _PLACES_IN_ROW):
+            row = _Row("" if first else step, step_bars[first : first + _PLACES_IN_ROW])
+            if height_used + row.above + row.below > _PAGE:
                 pages.append([])
-                full, row = _TOP, replace(row, step=step)
+                height_used, row = _TOP, replace(row, step=step)
             pages[-1].append(row)
-            full += row.above + row.below
+            height_used += row.above + row.below
     return [_page(rows, begins) for rows in pages]
 
 
@@ -184,37 +184,44 @@ def _bars(places: Sequence[NetPlace], then: str) -> list[_Bar]:
 def _page(rows: Sequence[_Row], begins: str) -> Figure:
     from matplotlib.figure import Figure
 
-    high = _TOP + sum(row.above + row.below for row in rows)
-    figure = Figure(figsize=(7.2, _INCH * high))
+    height = _TOP + sum(row.above + row.below for row in rows)
+    figure = Figure(figsize=(7.2, _INCH * height))
     panel = figure.subplots()
     _place(panel, 0, 0, "0", "white")
     panel.text(0.25, 0.0, f"every output off; {begins}", va="center", fontsize=_PLAIN)
-    at = 0.4 - _TOP
+    row_height = 0.4 - _TOP
     for row in rows:
-        at -= row.above
-        panel.text(-0.75, at, row.step, ha="right", va="center", weight="bold", fontsize=_PLAIN)
+        row_height -= row.above
+        panel.text(
+            -0.75, row_height, row.step, ha="right", va="center", weight="bold", fontsize=_PLAIN
+        )
         for column, bar in enumerate(row.bars):
             place = bar.place
             face = "white" if place.wait is None else "#E8E8E8"
-            _place(panel, column, at, str(place.number), face)
-            panel.plot([column + 0.5] * 2, [at - _HALF_BAR, at + _HALF_BAR], "k-", linewidth=2.4)
-            panel.annotate("", (column + 0.8, at), (column + 0.16, at), zorder=1,
+            _place(panel, column, row_height, str(place.number), face)
+            panel.plot(
+                [column + 0.5] * 2,
+                [row_height - _HALF_BAR, row_height + _HALF_BAR],
+                "k-",
+                linewidth=2.4,
+            )
+            panel.annotate("", (column + 0.8, row_height), (column + 0.16, row_height), zorder=1,
                            arrowprops={"arrowstyle": "->", "linewidth": 0.9})  # fmt: skip
-            panel.text(column + 0.5, at + _LABEL, bar.label, ha="center", va="bottom",
+            panel.text(column + 0.5, row_height + _LABEL, bar.label, ha="center", va="bottom",
                        fontsize=_SMALL)  # fmt: skip
             if bar.then:
-                panel.text(column + 0.85, at, bar.then, va="center", fontsize=_SMALL)
-            panel.text(column, at - _OUTPUTS, "\n".join(bar.lines), ha="center", va="top",
+                panel.text(column + 0.85, row_height, bar.then, va="center", fontsize=_SMALL)
+            panel.text(column, row_height - _OUTPUTS, "\n".join(bar.lines), ha="center", va="top",
                        fontsize=_SMALL)  # fmt: skip
-        _arc(panel, [(-0.16, at), (-0.55, at)])
-        last, at = at, at - row.below
+        _arc(panel, [(-0.16, row_height), (-0.55, row_height)])
+        last_row_height, row_height = row_height, row_height - row.below
     # One line for all rows: dashed lines drawn over each other would look solid.
-    _arc(panel, [(-0.55, last), (-0.55, 0.0)])
+    _arc(panel, [(-0.55, last_row_height), (-0.55, 0.0)])
     _arc(panel, [(-0.55, 0.0), (-0.17, 0.0)], arrow=True)
     panel.text(-0.62, 0.0, "any fault\nat any place", ha="right", va="center", fontsize=_SMALL,
                color=_BREAK)  # fmt: skip
     panel.set_xlim(-1.75, _PLACES_IN_ROW + 0.55)
-    panel.set_ylim(0.4 - high, 0.4)
+    panel.set_ylim(0.4 - height, 0.4)
     panel.set_axis_off()
     return figure
 
@@ -230,8 +237,8 @@ def _arc(panel: Axes, points: Sequence[tuple[float, float]], arrow: bool = False
             "arrowstyle": "->", "linewidth": 1.0, "linestyle": "--", "color": _BREAK,
         })  # fmt: skip
         return
-    across, up = zip(*points, strict=True)
-    panel.plot(across, up, linestyle="--", linewidth=0.8, color=_BREAK, zorder=1)
+    columns, heights = zip(*points, strict=True)
+    panel.plot(columns, heights, linestyle="--", linewidth=0.8, color=_BREAK, zorder=1)
 
 
 _DRAWN = ("residual_vibration",)
@@ -271,8 +278,8 @@ def write_switching(studied: ReportData, folder: Path, tables: Sequence[Printed]
     plan = proof.plan
     shaper = plan.options.get("shaper")
     header, rows = verdict_rows(proof.verdict, every_axis=False)
-    how = shaper_words(plan) if shaper is None else f"shaper {shaper}"
-    steps = [_step_table(proof, how)]
+    shaper_text = shaper_words(plan) if shaper is None else f"shaper {shaper}"
+    steps = [_step_table(proof, shaper_text)]
     if unshaped is not None:
         steps.append(_step_table(unshaped, "without a shaper"))
     run = drawn_run(proof, _DRAWN)
@@ -287,9 +294,9 @@ def write_switching(studied: ReportData, folder: Path, tables: Sequence[Printed]
             twin = beam.instants_s, beam.simulated_m
             figures["broken-beam"] = break_figure(beam.sweeps, twin)
         captions = dict(_CAPTIONS)
-        beside = "" if unshaped is None else ", as planned and without a shaper"
+        comparison_text = "" if unshaped is None else ", as planned and without a shaper"
         for name in ("residual", "frame"):
-            captions[name] = captions[name].format(beside=beside)
+            captions[name] = captions[name].format(beside=comparison_text)
         for name in ("frame", "cycle"):
             captions[name] += run.words(proof)
         net = plan.scheduled.one_cycle
@@ -302,7 +309,7 @@ def write_switching(studied: ReportData, folder: Path, tables: Sequence[Printed]
             subtitle="; ".join(
                 [
                     plan.machine.title,
-                    how,
+                    shaper_text,
                     *filter(None, [production(proof)]),
                     *(f"{axis} {words}" for axis, words in shaping_rows(plan)),
                 ]
@@ -325,7 +332,7 @@ def write_switching(studied: ReportData, folder: Path, tables: Sequence[Printed]
 def write_switching_comparison(found: Comparison, folder: Path, tables: Sequence[Printed]) -> Path:
     """Write the report of a comparison of shapers; return the path of the HTML page."""
     first = found.proofs[0].plan
-    good = all(proof.verdict.passed for proof in found.proofs)
+    all_passed = all(proof.verdict.passed for proof in found.proofs)
     names = [proof.plan.options.get("shaper", "none") for proof in found.proofs]
     with figure_style():
         figures = {"residual": residuals_figure(found.proofs)}
@@ -340,7 +347,7 @@ def write_switching_comparison(found: Comparison, folder: Path, tables: Sequence
         document = Document(
             title=f"{first.job.name} on {first.machine.name}: comparison",
             subtitle=first.machine.title,
-            verdicts=[(closing_of_all([proof.verdict for proof in found.proofs]), good)],
+            verdicts=[(closing_of_all([proof.verdict for proof in found.proofs]), all_passed)],
             warnings=[
                 *(f"{name} is refused: {why}" for name, why in found.refused),
                 *grouped(warnings_of_all(found.proofs)),

@@ -31,10 +31,10 @@ _LEAST_UM = 1.0
 
 def shaper_words(plan: Plan) -> str:
     """Return the shaper of a plan in words; the job may have shapers or levels, too."""
-    own = any(
+    job_shapes = any(
         m.levels.realised is not None or len(m.levels.levels) > 2 for m in plan.scheduled.moves
     )
-    return plan.options.get("shaper", "as the list has it" if own else "no shaper")
+    return plan.options.get("shaper", "as the list has it" if job_shapes else "no shaper")
 
 
 def _mark_steps(panel: Axes, run: SwitchRun, *, names: bool) -> None:
@@ -84,8 +84,8 @@ def cycle_figure(proof: Proof, recording: Recording) -> Figure:
         _mark_steps(panel, run, names=axis == axes[0])
     lanes = panels[-1]
     for row in range(len(outputs)):
-        on = run.states[:, row] != 0
-        edges = np.flatnonzero(np.diff(np.concatenate(([0], on.astype(np.int8), [0]))))
+        is_on = run.states[:, row] != 0
+        edges = np.flatnonzero(np.diff(np.concatenate(([0], is_on.astype(np.int8), [0]))))
         end_s = np.append(run.time_s, run.time_s[-1])
         spans = [
             (float(end_s[a]), float(end_s[b] - end_s[a])) for a, b in edges.reshape(-1, 2).tolist()
@@ -107,13 +107,13 @@ def frame_figure(proof: Proof, recording: Recording, unshaped: Proof | None) -> 
     figure = Figure(figsize=(7.2, 1.9 * len(axes) + 0.6))
     panels = figure.subplots(len(axes), 1, sharex=True, squeeze=False).ravel()
     frames = [f"{axis}.frame" for axis in axes]
-    drawn = [(recording.samples_of(frames), ACTUAL, shaper_words(proof.plan))]
+    curves = [(recording.samples_of(frames), ACTUAL, shaper_words(proof.plan))]
     if unshaped is not None:
-        drawn.insert(0, (unshaped.recording.samples_of(frames), PLANNED, "without a shaper"))
+        curves.insert(0, (unshaped.recording.samples_of(frames), PLANNED, "without a shaper"))
     for panel, axis in zip(panels, axes, strict=True):
-        for samples, look, label in drawn:
+        for samples, line_style, label in curves:
             time_s, values = _thinned(*samples[f"{axis}.frame"])
-            panel.plot(time_s, values * MICRO, label=label, **look)
+            panel.plot(time_s, values * MICRO, label=label, **line_style)
         panel.set_ylabel(f"frame along {axis}, um")
         _mark_steps(panel, run, names=axis == axes[0])
     panels[-1].set_xlabel("s")
@@ -133,22 +133,22 @@ def residual_figure(proof: Proof, unshaped: Proof | None) -> Figure:
         if unshaped is not None:
             cases.append((unshaped, "0.75", "//", "without a shaper"))
         names: list[str] = []
-        for index, (other, colour, hatch, label) in enumerate(cases):
+        for index, (case_proof, colour, hatch, label) in enumerate(cases):
             rows = [
                 r
-                for r in other.verdict.results
+                for r in case_proof.verdict.results
                 if r.name == "residual_vibration" and r.axis == axis and r.step
             ]
             names = [r.step for r in rows]
             sizes = [(r.measured or 0.0) * MICRO for r in rows]
-            at = np.arange(len(rows)) + 0.4 * (index - 0.5 * (len(cases) - 1))
-            bars = panel.bar(at, sizes, 0.38, color=colour, hatch=hatch, label=label)
+            bar_places = np.arange(len(rows)) + 0.4 * (index - 0.5 * (len(cases) - 1))
+            bars = panel.bar(bar_places, sizes, 0.38, color=colour, hatch=hatch, label=label)
             labels = ["?" if r.measured is None else f"{r.measured * MICRO:.0f}" for r in rows]
             panel.bar_label(bars, labels, fontsize=6, padding=1, bbox=_READABLE, zorder=5)
             limits = [r.limit for r in rows]
-            for place, limit in zip(range(len(rows)), limits, strict=True):
+            for step_index, limit in zip(range(len(rows)), limits, strict=True):
                 if limit is not None and index == 0:
-                    panel.plot([place - 0.45, place + 0.45], [limit * MICRO] * 2, **LIMIT)
+                    panel.plot([step_index - 0.45, step_index + 0.45], [limit * MICRO] * 2, **LIMIT)
         panel.set_yscale("symlog", linthresh=_LEAST_UM)
         panel.set_ylabel(f"frame along {axis}, um")
         panel.set_xticks(range(len(names)), names)
@@ -170,7 +170,7 @@ def residuals_figure(proofs: Sequence[Proof]) -> Figure:
     figure = Figure(figsize=(7.2, 2.1 * len(axes) + 0.6))
     panels = figure.subplots(len(axes), 1, sharex=True, squeeze=False).ravel()
     for panel, axis in zip(panels, axes, strict=True):
-        for proof, look, marker in zip(proofs, cycle(AXES), cycle("osvDX^"), strict=False):
+        for proof, line_style, marker in zip(proofs, cycle(AXES), cycle("osvDX^"), strict=False):
             rows = [
                 r
                 for r in proof.verdict.results
@@ -178,11 +178,11 @@ def residuals_figure(proofs: Sequence[Proof]) -> Figure:
             ]
             sizes = [(r.measured or 0.0) * MICRO for r in rows]
             label = shaper_words(proof.plan)
-            panel.plot(range(len(rows)), sizes, marker=marker, label=label, **look)
+            panel.plot(range(len(rows)), sizes, marker=marker, label=label, **line_style)
             limits = [r.limit for r in rows]
-        for place, limit in enumerate(limits):
+        for step_index, limit in enumerate(limits):
             if limit is not None:
-                panel.plot([place - 0.45, place + 0.45], [limit * MICRO] * 2, **LIMIT)
+                panel.plot([step_index - 0.45, step_index + 0.45], [limit * MICRO] * 2, **LIMIT)
         panel.set_yscale("symlog", linthresh=_LEAST_UM)
         panel.set_ylabel(f"frame along {axis}, um")
         panel.set_xticks(range(len(rows)), [r.step for r in rows])

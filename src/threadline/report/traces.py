@@ -119,11 +119,13 @@ def extremes(columns: FloatArray, stretch: IntArray) -> NDArray[np.bool_]:
     keep = np.zeros(len(columns), dtype=bool)
     keep[[0, -1]] = True
     edges = [0, *(np.flatnonzero(np.diff(stretch)) + 1).tolist(), len(columns)]
-    across = np.isfinite(columns).all(axis=0)
+    finite_columns = np.isfinite(columns).all(axis=0)
     for begin, end in pairwise(edges):
-        part = columns[begin:end, across]
-        if part.size:
-            keep[begin + np.concatenate([part.argmin(axis=0), part.argmax(axis=0)])] = True
+        stretch_rows = columns[begin:end, finite_columns]
+        if stretch_rows.size:
+            keep[
+                begin + np.concatenate([stretch_rows.argmin(axis=0), stretch_rows.argmax(axis=0)])
+            ] = True
     return keep
 
 
@@ -202,19 +204,21 @@ def collect(proof: Proof, around_s: Sequence[float] = ()) -> Traces:
     axes = plan.motion.trajectory.axes
     setting = setting_of(plan, recording)
     marked = [worst_result(proof.verdict, name) for name in MARKED]
-    places = [result for result in marked if result is not None]
-    times_s = [*around_s, *(r.time_s for r in places if r.time_s is not None)]
+    worst_results = [result for result in marked if result is not None]
+    around_times_s = [*around_s, *(r.time_s for r in worst_results if r.time_s is not None)]
     samples = plan.motion.trajectory.duration_s / setting.interval_s + 1.0
     stride = 1 if samples <= MAX_SAMPLES else int(np.ceil(14 * len(axes) * samples / MAX_SAMPLES))
     blocks = judged_blocks(recording, axes, 0, None)
-    parts = list(_kept(blocks, plan.motion.trajectory, setting.interval_s, stride, times_s))
+    parts = list(
+        _kept_samples(blocks, plan.motion.trajectory, setting.interval_s, stride, around_times_s)
+    )
     number, time_s, commanded, actual, velocity, acceleration, planned = (
         np.concatenate([part[column] for part in parts]) for column in range(7)
     )
 
     def by_axis(columns: FloatArray) -> dict[str, FloatArray]:
-        seen = np.flatnonzero(np.isfinite(columns).any(axis=0)).tolist()
-        return {axes[k]: columns[:, k] for k in seen}
+        known_columns = np.flatnonzero(np.isfinite(columns).any(axis=0)).tolist()
+        return {axes[k]: columns[:, k] for k in known_columns}
 
     return Traces(
         time_s=time_s,
@@ -224,14 +228,14 @@ def collect(proof: Proof, around_s: Sequence[float] = ()) -> Traces:
         velocity=by_axis(velocity),
         acceleration=by_axis(acceleration),
         planned={axis: planned[:, :, k] for k, axis in enumerate(axes)},
-        vertices=_vertices(plan, [r.operation for r in places if r.operation is not None]),
+        vertices=_vertices(plan, [r.operation for r in worst_results if r.operation is not None]),
         stride=stride,
         run=run,
         contour=contour_along(recording, plan, proof.spec.lag_s),
     )
 
 
-def _kept(
+def _kept_samples(
     blocks: Iterator[Block],
     trajectory: Trajectory,
     interval_s: float,
@@ -243,21 +247,24 @@ def _kept(
     Numbers and times are (n,). Command, position, velocity and acceleration are (n, axes). The plan
     is (n, 3, axes): position, velocity, acceleration. A signal missing in the recording is NaN.
     """
-    before: FloatArray | None = None
+    previous_positions: FloatArray | None = None
     reader = TrajectoryReader(trajectory)
     for block in blocks:
-        moved = block.actual if block.actual is not None else block.own
-        actual, commanded = None if moved is None else moved[:, 0], block.commanded
+        positions = block.actual if block.actual is not None else block.own
+        actual, commanded = None if positions is None else positions[:, 0], block.commanded
         shape = next(c.shape for c in (actual, commanded) if c is not None)
-        nothing = np.full(shape, np.nan)
-        actual = nothing if actual is None else actual
-        commanded = nothing if commanded is None else commanded
-        joined = np.concatenate(
-            [actual[:1].repeat(2, axis=0) if before is None else before, actual]
+        unknown = np.full(shape, np.nan)
+        actual = unknown if actual is None else actual
+        commanded = unknown if commanded is None else commanded
+        with_previous = np.concatenate(
+            [
+                actual[:1].repeat(2, axis=0) if previous_positions is None else previous_positions,
+                actual,
+            ]
         )
-        before = joined[-2:]
-        velocity = np.diff(joined, axis=0)[1:] / interval_s
-        acceleration = np.diff(joined, 2, axis=0) / interval_s**2
+        previous_positions = with_previous[-2:]
+        velocity = np.diff(with_previous, axis=0)[1:] / interval_s
+        acceleration = np.diff(with_previous, 2, axis=0) / interval_s**2
         number = block.first + np.arange(len(actual))
         planned = reader.ladder(block.due_s, 3)
         reader.drop(float(block.due_s[0]))
@@ -266,8 +273,8 @@ def _kept(
         keep = np.ones(len(actual), dtype=bool)
         if stride > 1:
             planned_rows = planned.reshape(len(planned), -1)
-            shown = [actual, velocity, acceleration, actual - commanded, planned_rows]
-            keep = extremes(np.concatenate(shown, axis=1), number // stride)
+            drawn_columns = [actual, velocity, acceleration, actual - commanded, planned_rows]
+            keep = extremes(np.concatenate(drawn_columns, axis=1), number // stride)
             for place_s in around_s:
                 keep |= np.abs(block.time_s - place_s) <= AROUND_SAMPLES * interval_s
         yield (
@@ -294,8 +301,8 @@ def scale_to_run_rate(planned: FloatArray, ahead_s: FloatArray, interval_s: floa
     """
     if len(ahead_s) < 2:
         return
-    more = np.gradient(ahead_s, interval_s)
-    rate, change = 1.0 + more[:, None], np.gradient(more, interval_s)[:, None]
+    rate_excess = np.gradient(ahead_s, interval_s)
+    rate, change = 1.0 + rate_excess[:, None], np.gradient(rate_excess, interval_s)[:, None]
     planned[:, 2] = planned[:, 2] * rate**2 + planned[:, 1] * change
     planned[:, 1] *= rate
 
@@ -306,27 +313,31 @@ def _vertices(plan: Plan, around: Sequence[int]) -> FloatArray:
     If there are many, the result is every second, fourth and so on, the vertices near a place in
     ``around``, and the outermost vertices of each axis.
     """
-    near: list[FloatArray] = []
+    around_vertices: list[FloatArray] = []
     others: list[FloatArray] = []
     outermost: FloatArray | None = None
     count, step = 0, 1
     for block in plan.motion.programmed:
         if not len(block):
             continue
-        close = np.zeros(len(block), dtype=bool)
+        is_around = np.zeros(len(block), dtype=bool)
         for operation in around:
-            close |= np.abs(block.operation - operation) <= AROUND_OPERATIONS
-        taken = ~close & ((count + np.arange(len(block))) % step == 0)
+            is_around |= np.abs(block.operation - operation) <= AROUND_OPERATIONS
+        is_taken = ~is_around & ((count + np.arange(len(block))) % step == 0)
         count += len(block)
-        near.append(block.positions[close])
-        others.append(block.positions[taken])
-        seen = block.positions if outermost is None else np.vstack([outermost, block.positions])
-        outermost = seen[np.concatenate([seen.argmin(axis=0), seen.argmax(axis=0)])]
+        around_vertices.append(block.positions[is_around])
+        others.append(block.positions[is_taken])
+        with_outermost = (
+            block.positions if outermost is None else np.vstack([outermost, block.positions])
+        )
+        outermost = with_outermost[
+            np.concatenate([with_outermost.argmin(axis=0), with_outermost.argmax(axis=0)])
+        ]
         if sum(map(len, others)) > MAX_VERTICES:
             others, step = [np.concatenate(others)[::2]], 2 * step
     if outermost is None:
         return np.empty((0, 0))
-    return np.concatenate([*near, *others, *([outermost] if step > 1 else [])])
+    return np.concatenate([*around_vertices, *others, *([outermost] if step > 1 else [])])
 
 
 def contour_along(
@@ -356,16 +367,19 @@ def contour_along(
         return None
     setting = setting_of(plan, recording, lag_s)
     width_s = max(plan.motion.trajectory.duration_s + lag_s, setting.interval_s) / stretches
-    worst = np.full(stretches + 1, -1.0)
+    largest2_m2 = np.full(stretches + 1, -1.0)
     time_s = np.zeros(stretches + 1)
     window = PathWindow(plan.motion.programmed)
     lag, resolution = setting.lag_samples, setting.resolution
     for block in judged_blocks(recording, axes, lag, window, resolution):
-        squared = block.nearest_on_surface[0][:, 0]
+        distances2_m2 = block.nearest_on_surface[0][:, 0]
         stretch = np.minimum((block.due_s / width_s).astype(np.int64), stretches)
         # The largest distance of each interval is assigned last, and so it stays.
-        order = np.argsort(squared, kind="stable")
-        order = order[squared[order] > worst[stretch[order]]]
-        worst[stretch[order]], time_s[stretch[order]] = squared[order], block.time_s[order]
-    seen = worst >= 0.0
-    return time_s[seen], np.sqrt(worst[seen])
+        order = np.argsort(distances2_m2, kind="stable")
+        order = order[distances2_m2[order] > largest2_m2[stretch[order]]]
+        largest2_m2[stretch[order]], time_s[stretch[order]] = (
+            distances2_m2[order],
+            block.time_s[order],
+        )
+    has_distance = largest2_m2 >= 0.0
+    return time_s[has_distance], np.sqrt(largest2_m2[has_distance])

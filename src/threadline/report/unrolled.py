@@ -66,24 +66,24 @@ def winding_figures(proof: Proof) -> tuple[dict[str, Figure], dict[str, bytes], 
     if not (laid.known > 0.0).any():
         return {}, {}, []
     surface = job.surface
-    ends = surface.at(np.array([0.0, surface.length_m]))[0][:, 0]
-    raster = Raster(surface, job.width_m, float(ends[0]), float(ends[1]))
-    shown, circuits, last = [], _circuits(job, laid), 0
-    for row in [*(circuits[n] for n in _SHOWN if n < len(circuits)), len(laid.u)]:
-        part = slice(last, row)
+    end_x_m = surface.at(np.array([0.0, surface.length_m]))[0][:, 0]
+    raster = Raster(surface, job.width_m, float(end_x_m[0]), float(end_x_m[1]))
+    maps, circuits, last_row = [], _circuits(job, laid), 0
+    for end_row in [*(circuits[n] for n in _SHOWN if n < len(circuits)), len(laid.u)]:
+        rows = slice(last_row, end_row)
         raster.lay(
-            laid.u[part], laid.angle[part], laid.winding[part], laid.known[part] > 0.0,
-            laid.operation[part],
+            laid.u[rows], laid.angle[rows], laid.winding[rows], laid.known[rows] > 0.0,
+            laid.operation[rows],
         )  # fmt: skip
-        shown.append(_thinned(raster))
-        last = row
+        maps.append(_thinned(raster))
+        last_row = end_row
     figures = {
         "winding-map": _map(proof, job, laid, raster),
         "winding-along": _along(job, laid, raster),
     }
     if len(circuits) > 1:
         numbers = [n for n in _SHOWN if n < len(circuits)]
-        figures["winding-pattern"] = _pattern(job, raster, shown, [*numbers, len(circuits)])
+        figures["winding-pattern"] = _pattern(job, raster, maps, [*numbers, len(circuits)])
     causes = causes_of(proof.plan)
     tables = []
     if causes is not None:
@@ -94,10 +94,10 @@ def winding_figures(proof: Proof) -> tuple[dict[str, Figure], dict[str, bytes], 
     fibre = np.column_stack([laid.u, laid.angle, laid.winding])
     fibre[laid.known == 0.0] = np.nan
     # The value of the steering of a block is at the last row of the block.
-    ends_of = np.isfinite(laid.steer)
-    steer = np.append(np.abs(laid.steer[ends_of]), 0.0)
-    of_row = np.concatenate([[0], np.cumsum(ends_of)[:-1]])
-    slips = steer[of_row] > least_friction(job.product)
+    is_block_end = np.isfinite(laid.steer)
+    steer = np.append(np.abs(laid.steer[is_block_end]), 0.0)
+    block_of_row = np.concatenate([[0], np.cumsum(is_block_end)[:-1]])
+    slips = steer[block_of_row] > least_friction(job.product)
     name = f"{proof.plan.job.name} on {job.product.name}"
     return figures, {"winding-map.glb": wound_glb(surface, job.width_m, fibre, slips, name)}, tables
 
@@ -133,8 +133,8 @@ def winding_caption(name: str) -> str:
 
 def _laid(proof: Proof, job: WoundJob) -> _Laid:
     """Return the fibre of the recorded run, or of the plan if the recording does not give it."""
-    found = recorded_fibre(proof.recording, job)
-    parts = list(planned_fibre(proof.plan, job)) if found is None else [found]
+    recorded = recorded_fibre(proof.recording, job)
+    parts = list(planned_fibre(proof.plan, job)) if recorded is None else [recorded]
 
     def joined(columns: Sequence[FloatArray]) -> FloatArray:
         return np.concatenate(columns) if columns else np.empty(0)
@@ -148,15 +148,18 @@ def _laid(proof: Proof, job: WoundJob) -> _Laid:
         known=joined([fibre.known.astype(np.float64) for fibre in fibres]),
         steer=joined([fibre.steer for fibre in fibres]),
         operation=np.concatenate(operations) if operations else np.empty(0, dtype=np.int64),
-        of_run=found is not None,
+        of_run=recorded is not None,
     )
 
 
 def _circuits(job: WoundJob, laid: _Laid) -> list[int]:
     """Return the rows at which circuits begin: the fibre crosses the middle from left to right."""
     middle = middle_of(job.surface)
-    beside = np.where(laid.known > 0.0, laid.u - middle, np.nan)
-    return [int(row) + 1 for row in np.flatnonzero((beside[:-1] < 0.0) & (beside[1:] >= 0.0))]
+    from_middle_m = np.where(laid.known > 0.0, laid.u - middle, np.nan)
+    return [
+        int(row) + 1
+        for row in np.flatnonzero((from_middle_m[:-1] < 0.0) & (from_middle_m[1:] >= 0.0))
+    ]
 
 
 def _thinned(raster: Raster) -> NDArray[np.uint16]:
@@ -168,7 +171,7 @@ def _thinned(raster: Raster) -> NDArray[np.uint16]:
 def _shade(panel: Axes, job: WoundJob, raster: Raster, count: NDArray[np.uint16]) -> QuadMesh:
     """Draw a map; its scale of shades fits most of the mandrel, not the many bands at the poles."""
     x = 1e3 * job.surface.at(raster.places)[0][:, 0]
-    most = max(2.0 * float(np.quantile(count, _MOST_OF_IT)), 4.0)
+    largest_shade = max(2.0 * float(np.quantile(count, _MOST_OF_IT)), 4.0)
     panel.set_ylim(0.0, 360.0)
     panel.set_yticks(range(0, 361, 60))
     panel.set_xlabel("along the mandrel, mm")
@@ -178,7 +181,7 @@ def _shade(panel: Axes, job: WoundJob, raster: Raster, count: NDArray[np.uint16]
         count,
         cmap="Greys",
         vmin=0,
-        vmax=most,
+        vmax=largest_shade,
         shading="nearest",
         rasterized=True,
     )
@@ -205,16 +208,16 @@ def _map(proof: Proof, job: WoundJob, laid: _Laid, raster: Raster) -> Figure:
     figure = Figure(figsize=(7.2, 4.6))
     panel = figure.subplots()
     x = 1e3 * job.surface.at(raster.places)[0][:, 0]
-    shown = _shade(panel, job, raster, _thinned(raster))
-    bar = figure.colorbar(shown, ax=panel, label="bands on each other", extend="max")
+    mesh = _shade(panel, job, raster, _thinned(raster))
+    bar = figure.colorbar(mesh, ax=panel, label="bands on each other", extend="max")
     bar.locator = MaxNLocator(integer=True)
     bar.update_ticks()
-    known = np.flatnonzero(laid.known > 0.0)[-_MOST_DRAWN:]
-    line_x = 1e3 * job.surface.at(laid.u[known])[0][:, 0]
-    line_a = np.degrees(laid.angle[known]) % 360.0
+    known_rows = np.flatnonzero(laid.known > 0.0)[-_MOST_DRAWN:]
+    line_x = 1e3 * job.surface.at(laid.u[known_rows])[0][:, 0]
+    line_deg = np.degrees(laid.angle[known_rows]) % 360.0
     # The line has gaps where the angle wraps around, and where the fibre is unknown.
-    line_a[1:][(np.abs(np.diff(line_a)) > 180.0) | (np.diff(known) > 1)] = np.nan
-    panel.plot(line_x, line_a, **ACTUAL)
+    line_deg[1:][(np.abs(np.diff(line_deg)) > 180.0) | (np.diff(known_rows) > 1)] = np.nan
+    panel.plot(line_x, line_deg, **ACTUAL)
     _mark(proof, job, laid, panel)
     panel.set_xlim(float(x[0]), float(x[-1]))
     panel.set_ylabel("round the mandrel, deg")
@@ -226,18 +229,21 @@ def _mark(proof: Proof, job: WoundJob, laid: _Laid, panel: Axes) -> None:
     """Mark the worst places of the measures of the fibre."""
     marked = False
     for result in proof.verdict.results:
-        bad = result.status is Status.FAILED or result.name == "slip_tendency"
-        if result.name not in _OF_FIBRE or result.operation is None or not bad:
+        is_worst = result.status is Status.FAILED or result.name == "slip_tendency"
+        if result.name not in _OF_FIBRE or result.operation is None or not is_worst:
             continue
         rows = np.flatnonzero((laid.operation == result.operation) & np.isfinite(laid.u))
         if not len(rows):
             continue
-        at = rows[len(rows) // 2 : len(rows) // 2 + 1]
-        x, angle = 1e3 * job.surface.at(laid.u[at])[0][0, 0], np.degrees(laid.angle[at[0]]) % 360.0
+        middle_row = rows[len(rows) // 2 : len(rows) // 2 + 1]
+        x, angle = (
+            1e3 * job.surface.at(laid.u[middle_row])[0][0, 0],
+            np.degrees(laid.angle[middle_row[0]]) % 360.0,
+        )
         panel.plot([x], [angle], label=None if marked else "worst", **WORST)
-        where = "" if result.job_line is None else f", line {result.job_line}"
+        line_text = "" if result.job_line is None else f", line {result.job_line}"
         panel.annotate(
-            f"{result.name}{where}",
+            f"{result.name}{line_text}",
             (x, angle),
             textcoords="offset points",
             xytext=(6, 6),
@@ -287,18 +293,18 @@ def _along(job: WoundJob, laid: _Laid, raster: Raster) -> Figure:
     x = 1e3 * job.surface.at(laid.u[judged])[0][:, 0]
     places = 1e3 * job.surface.at(raster.places)[0][:, 0]
     edges = np.linspace(places[0], places[-1], _BINS + 1)
-    at = np.clip(np.searchsorted(edges, x) - 1, 0, _BINS - 1)
-    most = np.full(_BINS, np.nan)
-    np.fmax.at(most, at, np.abs(laid.steer[judged]))
-    upper.plot(0.5 * (edges[1:] + edges[:-1]), 1e2 * most, label="largest", **ACTUAL)
+    bin_numbers = np.clip(np.searchsorted(edges, x) - 1, 0, _BINS - 1)
+    largest_steering = np.full(_BINS, np.nan)
+    np.fmax.at(largest_steering, bin_numbers, np.abs(laid.steer[judged]))
+    upper.plot(0.5 * (edges[1:] + edges[:-1]), 1e2 * largest_steering, label="largest", **ACTUAL)
     upper.axhline(1e2 * least_friction(job.product), label="friction, lower end", **LIMIT)
     upper.set_ylabel("steering, %")
     upper.set_title("Slip along the mandrel")
     upper.legend()
     mean = raster.count.mean(axis=1)
-    thick = job.product.thickness
-    lower.plot(places, mean if thick is None else 1e3 * thick * mean, **PLANNED)
-    lower.set_ylabel("bands" if thick is None else "thickness, mm")
+    thickness_m = job.product.thickness
+    lower.plot(places, mean if thickness_m is None else 1e3 * thickness_m * mean, **PLANNED)
+    lower.set_ylabel("bands" if thickness_m is None else "thickness, mm")
     lower.set_xlabel("along the mandrel, mm")
     lower.set_title("Mean thickness of the bands round the mandrel")
     return figure

@@ -25,10 +25,10 @@ def sheet_tables(sheet: Sheet, laid: Sequence[Laid]) -> list[Table]:
             words=("material",),
         )
     ]  # fmt: skip
-    found = wound_laminate(laid)
-    if found is not None:
+    laminate = wound_laminate(laid)
+    if laminate is not None:
         tables.append(
-            Table(title="Laminate at the largest radius", header=("", ""), rows=found.rows())
+            Table(title="Laminate at the largest radius", header=("", ""), rows=laminate.rows())
         )
     return tables
 
@@ -73,11 +73,11 @@ def layer_times(plan: Plan, winding: Winding) -> dict[int, float] | None:
     them.
     """
     lines = np.array([operation.source.line for operation in plan.job], dtype=np.int64)
-    found, layer_of = np.unique(lines, return_inverse=True)
-    if len(found) != len(winding.layers):
+    layer_lines, layer_of = np.unique(lines, return_inverse=True)
+    if len(layer_lines) != len(winding.layers):
         return None
-    ticks = np.zeros(len(found))
+    ticks = np.zeros(len(layer_lines))
     for block in tick_table(plan.commands):
-        ticks += np.bincount(layer_of[block.operation], minlength=len(found))
-    period = float(plan.machine.tick_clock.period_s)
-    return {number: period * count for number, count in enumerate(ticks.tolist(), start=1)}
+        ticks += np.bincount(layer_of[block.operation], minlength=len(layer_lines))
+    period_s = float(plan.machine.tick_clock.period_s)
+    return {number: period_s * count for number, count in enumerate(ticks.tolist(), start=1)}

@@ -138,8 +138,8 @@ def fastest_allowed(question: Question) -> FastestJob:
         If the machine cannot do the job.
     """
     job, machine, until = question.job, question.machine, question.until
-    top = feed_range_m_s(machine)[1] if question.high is None else question.high
-    options = replace(question.options, feed=Feed(FeedMode.FASTEST_AXIS, top))
+    top_feed_m_s = feed_range_m_s(machine)[1] if question.high is None else question.high
+    options = replace(question.options, feed=Feed(FeedMode.FASTEST_AXIS, top_feed_m_s))
     by_contour = options.follows_contour and not machine.takes_positions  # no loop lags
 
     def proved(amount: float) -> Rung:
@@ -147,30 +147,30 @@ def fastest_allowed(question: Question) -> FastestJob:
             until.check()
         if question.progress is not None:
             question.progress("proving", len(rungs) / _MOST_PROOFS)
-        chosen = (
+        trial_options = (
             replace(options, contour_m=amount)
             if by_contour
             else replace(options, limit_share=amount)
         )
         try:
-            plan = plan_job(job, machine, chosen)
+            plan = plan_job(job, machine, trial_options)
         except LimitError as error:
             # With feed-forward the loads follow the motion, and the smoothing can make it break a
             # limit.
             if by_contour or error.quantity == "travel":
                 raise
-            return rung_of(chosen, top, beyond(error, machine), None, by_contour)
+            return rung_of(trial_options, top_feed_m_s, beyond(error, machine), None, by_contour)
         verdict = question.searched(plan, question.judged(plan))
-        return rung_of(chosen, top, verdict, plan.duration_s, by_contour)
+        return rung_of(trial_options, top_feed_m_s, verdict, plan.duration_s, by_contour)
 
     rungs: dict[float, Rung] = {}
-    next_one = _next_contour if by_contour else _next_share
+    next_amount = _next_contour if by_contour else _next_share
     amount: float | None = options.timing.contour_m if by_contour else options.limit_share
     with until_deadline(until, lambda: rungs):
         while amount is not None:
             rungs[amount] = proved(amount)
             alone = by_contour and options.contour_m is not None
-            amount = None if alone or len(rungs) >= _MOST_PROOFS else next_one(rungs)
+            amount = None if alone or len(rungs) >= _MOST_PROOFS else next_amount(rungs)
         if by_contour and options.contour_m is None:
             _look_beside(rungs, proved)
     return FastestJob(
@@ -184,17 +184,17 @@ def fastest_allowed(question: Question) -> FastestJob:
 def _look_beside(rungs: dict[float, Rung], proved: Callable[[float], Rung]) -> None:
     """Prove neighbours of the fastest plans until plan and neighbour pass; mark isolated plans."""
     for _ in range(_MOST_ALONE):
-        steady = [c for c, rung in rungs.items() if rung.duration_s is not None and not rung.alone]
-        if not steady:
+        passing = [c for c, rung in rungs.items() if rung.duration_s is not None and not rung.alone]
+        if not passing:
             return
-        best = min(steady, key=lambda amount: rungs[amount].duration_s or math.inf)
-        near = _short(best * _BESIDE)
-        rungs[near] = rungs[near] if near in rungs else proved(near)
-        if math.isinf(best) or rungs[near].duration_s is not None:
+        best_m = min(passing, key=lambda amount: rungs[amount].duration_s or math.inf)
+        neighbour_m = _short(best_m * _BESIDE)
+        rungs[neighbour_m] = rungs[neighbour_m] if neighbour_m in rungs else proved(neighbour_m)
+        if math.isinf(best_m) or rungs[neighbour_m].duration_s is not None:
             return
-        found = rungs[best].found
-        alone = tuple(replace(interval, alone=True) for interval in found.intervals)
-        rungs[best] = replace(rungs[best], found=replace(found, intervals=alone))
+        found = rungs[best_m].found
+        isolated = tuple(replace(interval, alone=True) for interval in found.intervals)
+        rungs[best_m] = replace(rungs[best_m], found=replace(found, intervals=isolated))
 
 
 def _short(allowance_m: float) -> float:
@@ -206,10 +206,10 @@ def options_at(question: Question, rung: Rung) -> Options:
     """Return the planning options with which ``fastest_allowed`` proved a rung."""
     if rung.options is not None:
         return rung.options
-    top = feed_range_m_s(question.machine)[1] if question.high is None else question.high
+    top_feed_m_s = feed_range_m_s(question.machine)[1] if question.high is None else question.high
     return replace(
         question.options,
-        feed=Feed(FeedMode.FASTEST_AXIS, top),
+        feed=Feed(FeedMode.FASTEST_AXIS, top_feed_m_s),
         limit_share=rung.share,
         contour_m=question.options.contour_m if rung.contour_m is None else rung.contour_m,
     )
@@ -234,30 +234,38 @@ def rung_of(
     )
 
 
-def _best(rungs: Mapping[float, Rung], otherwise: str) -> Rung:
+def _best(rungs: Mapping[float, Rung], default_limit: str) -> Rung:
     """Return the passing trial with the shortest job, or else the trial closest to passing."""
     passed = [amount for amount, rung in rungs.items() if rung.duration_s is not None]
     if not passed:
         return min(rungs.values(), key=lambda rung: closeness(rung.found.verdict))
-    at = min(passed, key=lambda amount: (rungs[amount].alone, rungs[amount].duration_s or math.inf))
-    above = [amount for amount, rung in rungs.items() if rung.duration_s is None and amount > at]
-    limited_by = rungs[min(above)].found.limited_by if above else otherwise
-    return replace(rungs[at], found=replace(rungs[at].found, limited_by=limited_by))
+    best_amount = min(
+        passed, key=lambda amount: (rungs[amount].alone, rungs[amount].duration_s or math.inf)
+    )
+    failed_above = [
+        amount for amount, rung in rungs.items() if rung.duration_s is None and amount > best_amount
+    ]
+    limited_by = rungs[min(failed_above)].found.limited_by if failed_above else default_limit
+    return replace(
+        rungs[best_amount], found=replace(rungs[best_amount].found, limited_by=limited_by)
+    )
 
 
 def _next_contour(rungs: Mapping[float, Rung]) -> float | None:
     """Return the next allowance to try; None where another trial would gain little."""
     passed = [c for c, rung in rungs.items() if rung.duration_s is not None]
-    low = max(passed, default=0.0)
-    high = min((c for c in rungs if c not in passed and c > low), default=math.inf)
-    if math.isinf(low) or high <= _CLOSE * low or high <= LEAST_CONTOUR_M:
+    passed_m = max(passed, default=0.0)
+    failed_m = min((c for c in rungs if c not in passed and c > passed_m), default=math.inf)
+    if math.isinf(passed_m) or failed_m <= _CLOSE * passed_m or failed_m <= LEAST_CONTOUR_M:
         return None
     if not passed:
-        excess = worst_criterion(rungs[high].found.verdict)[1]
-        return _short(max(high * max(_AIM / excess, _LEAST_FALL), LEAST_CONTOUR_M))
-    if math.isinf(high):
-        return _short(low * min(max(_AIM / _used(rungs[low]), _LEAST_GROWTH), _MOST_GROWTH))
-    return _short(math.sqrt(low * high))
+        excess = worst_criterion(rungs[failed_m].found.verdict)[1]
+        return _short(max(failed_m * max(_AIM / excess, _LEAST_FALL), LEAST_CONTOUR_M))
+    if math.isinf(failed_m):
+        return _short(
+            passed_m * min(max(_AIM / _used(rungs[passed_m]), _LEAST_GROWTH), _MOST_GROWTH)
+        )
+    return _short(math.sqrt(passed_m * failed_m))
 
 
 def _used(rung: Rung) -> float:

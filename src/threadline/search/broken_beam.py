@@ -107,13 +107,15 @@ def sweep_of_steps(
 ) -> BreakSweep:
     """Return the sweep of a command whose level steps by ``heights`` at the times ``steps``, s."""
     times = np.arange(0.0, steps[-1] + 0.2, 1e-3)
-    done = steps[None, :] <= times[:, None] + 1e-12
-    gone = np.where(done, times[:, None] - steps[None, :], 0.0)
-    ring = np.where(done, heights[None, :] * np.exp(ringing.pole * gone), 0.0).sum(axis=1)
-    level = np.where(done, heights[None, :], 0.0).sum(axis=1)
-    size = np.abs(ringing.amplitude_m * (ring - level))
+    has_stepped = steps[None, :] <= times[:, None] + 1e-12
+    elapsed_s = np.where(has_stepped, times[:, None] - steps[None, :], 0.0)
+    decaying = np.where(has_stepped, heights[None, :] * np.exp(ringing.pole * elapsed_s), 0.0).sum(
+        axis=1
+    )
+    level = np.where(has_stepped, heights[None, :], 0.0).sum(axis=1)
+    amplitude_m = np.abs(ringing.amplitude_m * (decaying - level))
     levels = np.cumsum(heights)
-    return BreakSweep(name, times, size, float(max(0.0, levels.max() - 1.0, -levels.min())))
+    return BreakSweep(name, times, amplitude_m, float(max(0.0, levels.max() - 1.0, -levels.min())))
 
 
 def break_sweeps(machine: Machine, axis: str = "X") -> list[BreakSweep]:
@@ -134,7 +136,7 @@ def break_on_twin(scheduled: Scheduled, move: ScheduledMove, scans: IntArray) ->
     machine, commands = scheduled.machine, scheduled.commands
     cylinder, pole = machine.cylinders[move.axis], step_ringing(machine, move.axis).pole
     rows = (commands.ticks >= move.first_tick) & (commands.ticks <= move.last_tick)
-    alone = replace(
+    move_commands = replace(
         commands,
         ticks=commands.ticks[rows] - move.first_tick,
         levels=commands.levels[rows],
@@ -145,14 +147,14 @@ def break_on_twin(scheduled: Scheduled, move: ScheduledMove, scans: IntArray) ->
     late_s = cylinder.way(move.forward).closes_s + cylinder.delay.si
     calm_s = late_s + 8.0 * cylinder.lag.si
     period_s = float(commands.clock.period_s)
-    found = []
+    amplitudes_m = []
     for scan in scans.tolist():
         options = SwitchOptions(after_s=calm_s + 1.0, break_s=(scan - 0.5) * period_s)
         shut_s = scan * period_s
-        recording = simulate_switching(alone, machine, options)
-        size = ringing_m(recording, move.axis, shut_s + calm_s, pole)
-        found.append(size * np.exp(-pole.real * (calm_s - late_s)))
-    return np.array(found)
+        recording = simulate_switching(move_commands, machine, options)
+        amplitude_m = ringing_m(recording, move.axis, shut_s + calm_s, pole)
+        amplitudes_m.append(amplitude_m * np.exp(-pole.real * (calm_s - late_s)))
+    return np.array(amplitudes_m)
 
 
 def move_sweep(

@@ -217,13 +217,14 @@ def _feed(question: Question) -> Answer:
 
 def _feed_again(question: Question, answer: Answer) -> Callable[[Question], BestPace]:
     found: FastestJob = answer.of
-    about = near_best(
+    nearby = near_best(
         question, answer.best, search_range(question.job, question.machine, found.by)[1]
     )
     options = replace(question.options, limit_share=found.best.share)
-    return lambda one: speeds(
+    return lambda other_question: speeds(
         fastest_feed(
-            replace(one, by=found.by, options=options, low=about.low, high=about.high), COARSE
+            replace(other_question, by=found.by, options=options, low=nearby.low, high=nearby.high),
+            COARSE,
         )
     )
 
@@ -249,8 +250,10 @@ _UNKNOWN_HZ = 100.0
 
 
 def _needle_again(question: Question, answer: Answer) -> Callable[[Question], BestPace]:
-    about = near_best(question, answer.best, _UNKNOWN_HZ)
-    return lambda one: speeds(fastest_needle(replace(one, low=about.low, high=about.high), COARSE))
+    nearby = near_best(question, answer.best, _UNKNOWN_HZ)
+    return lambda other_question: speeds(
+        fastest_needle(replace(other_question, low=nearby.low, high=nearby.high), COARSE)
+    )
 
 
 def _shaft(question: Question) -> Answer:
@@ -271,25 +274,27 @@ def _shaft(question: Question) -> Answer:
 
 
 def _shaft_again(question: Question, answer: Answer) -> Callable[[Question], BestPace]:
-    about = near_best(question, answer.of.constant.best, speed_range_hz(question.machine)[1])
-    return lambda one: speeds(constant_speeds(replace(one, low=about.low, high=about.high), COARSE))
+    nearby = near_best(question, answer.of.constant.best, speed_range_hz(question.machine)[1])
+    return lambda other_question: speeds(
+        constant_speeds(replace(other_question, low=nearby.low, high=nearby.high), COARSE)
+    )
 
 
 def _switchings(question: Question) -> Answer:
     found = fastest_cycle(question)
-    over = None if question.band is None else robust_cycle(question, question.band)
-    best = found.cycle_s
+    robust = None if question.band is None else robust_cycle(question, question.band)
+    best_s = found.cycle_s
     return Answer(
-        question=question, best=best, unit="s", duration_s=best, intervals=_alone(best),
+        question=question, best=best_s, unit="s", duration_s=best_s, intervals=_alone(best_s),
         limited_by=found.limited_by, verdict=found.proof.verdict, tried=found.tried,
-        searched=CYCLE, of=found, words=cycle_words(found), over_band=over,
-        plan=lambda: found.proof.plan if over is None else over.proof.plan,
+        searched=CYCLE, of=found, words=cycle_words(found), over_band=robust,
+        plan=lambda: found.proof.plan if robust is None else robust.proof.plan,
     )  # fmt: skip
 
 
 def _switchings_again(_asked: Question, _answer: Answer) -> Callable[[Question], BestPace]:
-    def again(one: Question) -> BestPace:
-        found = fastest_cycle(one)
+    def again(other_question: Question) -> BestPace:
+        found = fastest_cycle(other_question)
         return found.cycle_s, _alone(found.cycle_s), found.limited_by
 
     return again
@@ -343,10 +348,10 @@ def answered(question: Question) -> Answer:
     with with_answer():
         found = search.find(question)
         certainty = _certainty(found, search)
-        cells: tuple[Mismatch, ...] = ()
+        mismatches: tuple[Mismatch, ...] = ()
         if question.mismatch:
-            cells = at_tolerance_ends(question, search.again(question, found))
-    return replace(found, certainty=certainty, mismatch=cells)
+            mismatches = at_tolerance_ends(question, search.again(question, found))
+    return replace(found, certainty=certainty, mismatch=mismatches)
 
 
 def _certainty(found: Answer, search: Search) -> Certainty | None:
@@ -358,16 +363,18 @@ def _certainty(found: Answer, search: Search) -> Certainty | None:
     options = question.options
     if options.robust_share is not None:
         options = replace(options, robust_share=0.0)
-    alone = search.find(replace(question, options=options, trials=question.trials.alone))
-    timed = found.duration_s is not None or alone.duration_s is not None
-    sure, best = (one.duration_s if timed else one.best for one in (found, alone))
-    share = None
-    if sure is not None and best is not None:
-        share = sure / best - 1.0 if timed else 1.0 - sure / best
+    alone_answer = search.find(replace(question, options=options, trials=question.trials.alone))
+    by_duration = found.duration_s is not None or alone_answer.duration_s is not None
+    sure_value, best_value = (
+        one.duration_s if by_duration else one.best for one in (found, alone_answer)
+    )
+    loss_share = None
+    if sure_value is not None and best_value is not None:
+        loss_share = sure_value / best_value - 1.0 if by_duration else 1.0 - sure_value / best_value
     return Certainty(
         machines=1 + sum(map(len, others.values())),
-        sure=sure,
-        alone=best,
-        unit="s" if timed else found.unit,
-        share=share,
+        sure=sure_value,
+        alone=best_value,
+        unit="s" if by_duration else found.unit,
+        share=loss_share,
     )

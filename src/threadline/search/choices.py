@@ -49,9 +49,9 @@ _SEED = 1994
 _CANDIDATES = 600
 AS_GOOD = 0.5  # ticks: a plan is simulated only if it is shorter than the best by more than this
 # Standard deviation of candidates about the best place: at first, at least, and two factors on it.
-_FIRST, _LAST, _WIDER, _NARROWER = 0.15, 0.02, 1.3, 0.8
+_FIRST_WIDTH, _LAST_WIDTH, _WIDER, _NARROWER = 0.15, 0.02, 1.3, 0.8
 _PATIENCE = 4  # after so many failures in a row candidates are drawn nearer to the best
-_LEAST, _MOST = 0.2, 1.5  # used shares are clamped to this range before the fit
+_LEAST_USED, _MOST_USED = 0.2, 1.5  # used shares are clamped to this range before the fit
 _NOISE = 0.03  # least scatter of errors about their plane
 _TICKS = 0.5  # least scatter of durations about their plane, in ticks
 _NEAR = 0.3  # trials farther from the best plan than this have little weight
@@ -126,32 +126,46 @@ def knobs_of(
     limits_too
         Whether the search may choose the share of the limits, too.
     """
-    spent_m = budget_m(spec)
-    found = []
-    forward = options.feed_forward_s is not None
+    error_budget_m = budget_m(spec)
+    knobs = []
+    with_feed_forward = options.feed_forward_s is not None
     tick_s = float(machine.tick_clock.period_s)
-    if spent_m is not None:
-        um = 10.0 ** math.floor(math.log10(spent_m) - 2.5)
-        least_m = min(options.tolerance_m, 0.2 * spent_m)
-        found.append(
-            Knob(word="tolerance", careful=least_m, bold=0.98 * spent_m, digit=um, typed=_mm)
-        )
-        found.append(Knob(word="outside", careful=0.0, bold=1.0, digit=0.005))
-        if forward or (options.follows_contour and not machine.takes_positions):
-            least_m = max(min(0.5 * DEFAULT_CONTOUR_M, 0.2 * spent_m), LEAST_CONTOUR_M)
-            most_m = (1.0 if forward else 1.5) * spent_m
-            found.append(Knob(word="contour", careful=least_m, bold=most_m, digit=um, typed=_mm))
-    if not machine.takes_positions and "reserve" in free:
-        kept = _kept(machine)
-        for word, own, least in (
-            ("volts", kept.volts, _LEAST_VOLTS),
-            ("current", kept.current, 0.0),
-        ):
-            found.append(
-                Knob(word=word, careful=max(own, 0.05), bold=least, digit=1e-4, typed=_percent)
+    if error_budget_m is not None:
+        rounding_m = 10.0 ** math.floor(math.log10(error_budget_m) - 2.5)
+        least_m = min(options.tolerance_m, 0.2 * error_budget_m)
+        knobs.append(
+            Knob(
+                word="tolerance",
+                careful=least_m,
+                bold=0.98 * error_budget_m,
+                digit=rounding_m,
+                typed=_mm,
             )
-    if forward:
-        found.append(
+        )
+        knobs.append(Knob(word="outside", careful=0.0, bold=1.0, digit=0.005))
+        if with_feed_forward or (options.follows_contour and not machine.takes_positions):
+            least_m = max(min(0.5 * DEFAULT_CONTOUR_M, 0.2 * error_budget_m), LEAST_CONTOUR_M)
+            most_m = (1.0 if with_feed_forward else 1.5) * error_budget_m
+            knobs.append(
+                Knob(word="contour", careful=least_m, bold=most_m, digit=rounding_m, typed=_mm)
+            )
+    if not machine.takes_positions and "reserve" in free:
+        reserves = _largest_reserves(machine)
+        for word, machine_reserve, least_reserve in (
+            ("volts", reserves.volts, _LEAST_VOLTS),
+            ("current", reserves.current, 0.0),
+        ):
+            knobs.append(
+                Knob(
+                    word=word,
+                    careful=max(machine_reserve, 0.05),
+                    bold=least_reserve,
+                    digit=1e-4,
+                    typed=_percent,
+                )
+            )
+    if with_feed_forward:
+        knobs.append(
             Knob(
                 word="smoothing",
                 careful=4.0 * tick_s,
@@ -160,13 +174,13 @@ def knobs_of(
                 typed=_ms,
             )
         )
-    chosen_ones = [knob for knob in found if knob.word in free or knob.word in RESERVES]
+    chosen_knobs = [knob for knob in knobs if knob.word in free or knob.word in RESERVES]
     if limits_too:
-        share = Knob(
+        share_knob = Knob(
             word=LIMIT_SHARE, careful=_LEAST_SHARE, bold=1.0, digit=1e-4, typed=_share, power=2
         )
-        chosen_ones.append(share)
-    return tuple(chosen_ones)
+        chosen_knobs.append(share_knob)
+    return tuple(chosen_knobs)
 
 
 def budget_m(spec: Spec) -> float | None:
@@ -175,10 +189,10 @@ def budget_m(spec: Spec) -> float | None:
     return min(limits, default=None)
 
 
-def _kept(machine: Machine) -> Reserve:
+def _largest_reserves(machine: Machine) -> Reserve:
     """Return the largest reserves of the drives of a machine."""
-    kept = [reserve_of(machine, name) for name, axis in machine.axes.items() if not axis.drive]
-    return Reserve(*(max((one[k] for one in kept), default=0.0) for k in range(2)))
+    reserves = [reserve_of(machine, name) for name, axis in machine.axes.items() if not axis.drive]
+    return Reserve(*(max((one[k] for one in reserves), default=0.0) for k in range(2)))
 
 
 def chosen(
@@ -194,7 +208,7 @@ def chosen(
     narrower
         By line of the program: the tolerance at its corner, as a share of the general tolerance.
     """
-    values = {knob.word: knob.value(at) for knob, at in zip(knobs, places, strict=True)}
+    values = {knob.word: knob.value(place) for knob, place in zip(knobs, places, strict=True)}
     tolerance_m = values.get("tolerance", options.tolerance_m)
     outside_m = options.outside_m
     if "outside" in values:
@@ -262,34 +276,34 @@ def narrowed(
     worst = max(failed, key=lambda one: abs(one.measured or 0.0) / (one.limit or math.inf))
     if not worst.job_line or not worst.limit or worst.measured is None:
         return None
-    over_m = abs(worst.measured) - worst.limit
+    excess_m = abs(worst.measured) - worst.limit
     if options.feed_forward_s is not None and (worst.time_s or 0.0) > end_s:
-        less_m = options.allowance_m - over_m - _BESIDES * worst.limit
-        if math.isinf(less_m) or less_m < 0.5 * options.allowance_m:
+        smaller_allowance_m = options.allowance_m - excess_m - _BESIDES * worst.limit
+        if math.isinf(smaller_allowance_m) or smaller_allowance_m < 0.5 * options.allowance_m:
             return None
-        return replace(options, contour_m=_typed_m(less_m))
-    places = {worst.job_line}
-    before = bisect_left(lines, worst.job_line) - 1
-    if worst.name == BUDGET and worst.note != POINT_MISSED and before >= 0:
-        places.add(lines[before])
+        return replace(options, contour_m=_typed_m(smaller_allowance_m))
+    corner_lines = {worst.job_line}
+    previous_index = bisect_left(lines, worst.job_line) - 1
+    if worst.name == BUDGET and worst.note != POINT_MISSED and previous_index >= 0:
+        corner_lines.add(lines[previous_index])
     widths = dict(options.narrow)
-    for line in places:
-        now_m = widths.get(line, options.tolerance_m)
-        if over_m > _MENDED * worst.limit or now_m - over_m < 0.5 * options.tolerance_m:
+    for line in corner_lines:
+        width_m = widths.get(line, options.tolerance_m)
+        if excess_m > _MENDED * worst.limit or width_m - excess_m < 0.5 * options.tolerance_m:
             return None
-        widths[line] = _typed_m(now_m - over_m - _BESIDES * worst.limit)
+        widths[line] = _typed_m(width_m - excess_m - _BESIDES * worst.limit)
     return replace(options, narrow=tuple(sorted(widths.items())))
 
 
 def places_of(options: Options, knobs: Sequence[Knob], machine: Machine) -> tuple[float, ...]:
     """Return the place of each knob whose value is nearest to its value in ``options``."""
-    kept = _kept(machine) if options.reserve is None else options.reserve
+    reserves = _largest_reserves(machine) if options.reserve is None else options.reserve
     values = {
         "tolerance": options.tolerance_m,
         "outside": options.outside_m / options.tolerance_m,
         "contour": min(options.allowance_m, 1.0),
-        "volts": kept.volts,
-        "current": kept.current,
+        "volts": reserves.volts,
+        "current": reserves.current,
         "smoothing": options.feed_forward_s or 0.0,
         LIMIT_SHARE: options.limit_share,
     }
@@ -321,14 +335,14 @@ class Tried:
 
 def used_of(verdict: Verdict) -> dict[str, float]:
     """Return the largest used share of each criterion whose use depends on the loops."""
-    found: dict[str, float] = {}
+    largest_used: dict[str, float] = {}
     for one in verdict.results:
         failed = one.status is Status.FAILED
         if one.measured is None or one.limit is None or (one.name in _OF_PLANS and not failed):
             continue
         share = abs(one.measured) / one.limit if one.limit else (_CLAMPED if failed else _FREE)
-        found[one.name] = max(share, found.get(one.name, 0.0))
-    return found
+        largest_used[one.name] = max(share, largest_used.get(one.name, 0.0))
+    return largest_used
 
 
 Try = Callable[[tuple[float, ...], float], Tried]
@@ -340,14 +354,14 @@ def boldest(
     attempt: Try, careful: tuple[float, ...], bold: tuple[float, ...], most: int
 ) -> list[Tried]:
     """Try at most ``most`` plans, from a bold place to a careful one, until one passes."""
-    found: list[Tried] = []
+    trials: list[Tried] = []
     for k in range(most):
         share = 1.0 - k / max(most - 1, 1)
-        at = tuple(c + share * (b - c) for c, b in zip(careful, bold, strict=True))
-        found.append(attempt(at, math.inf))
-        if found[-1].passed:
+        places = tuple(c + share * (b - c) for c, b in zip(careful, bold, strict=True))
+        trials.append(attempt(places, math.inf))
+        if trials[-1].passed:
             break
-    return found
+    return trials
 
 
 def improved(
@@ -369,7 +383,7 @@ def improved(
         Places from which the search begins if no plan passes yet.
     """
     random = np.random.default_rng(_SEED)
-    width, failed, count = _FIRST, 0, len(careful)
+    width, failed, count = _FIRST_WIDTH, 0, len(careful)
     steps = [tuple(1.0 if k == j else 0.0 for k in range(count)) for j in range(count)]
     for _ in range(most):
         best = best_of(tried)
@@ -377,19 +391,21 @@ def improved(
         best_s = math.inf if best is None or best.duration_s is None else best.duration_s
         if steps:  # at first each choice is made a little bolder by itself
             step = steps.pop(0)
-            at = tuple(min(p + _FIRST * s, 1.0) for p, s in zip(places, step, strict=True))
+            candidate = tuple(
+                min(p + _FIRST_WIDTH * s, 1.0) for p, s in zip(places, step, strict=True)
+            )
         else:
-            at = _promising(tried, places, best_s, width, tick_s, random)
-        tried.append(attempt(at, best_s - AS_GOOD * tick_s))
+            candidate = _promising(tried, places, best_s, width, tick_s, random)
+        tried.append(attempt(candidate, best_s - AS_GOOD * tick_s))
         if tried[-1].passed:
-            width, failed = min(width * _WIDER, _FIRST), 0
+            width, failed = min(width * _WIDER, _FIRST_WIDTH), 0
             continue
         failed += 1 if tried[-1].used else 0
         # A plan without simulation was no shorter than the best, so candidates are drawn farther
         # away.
-        width = width if tried[-1].used else min(width * _WIDER, _FIRST)
+        width = width if tried[-1].used else min(width * _WIDER, _FIRST_WIDTH)
         if tried[-1].used and failed % _PATIENCE == 0:
-            width = width * _NARROWER if width > _LAST else _FIRST
+            width = width * _NARROWER if width > _LAST_WIDTH else _FIRST_WIDTH
 
 
 def best_of(tried: Sequence[Tried]) -> Tried | None:
@@ -410,42 +426,46 @@ def _promising(
 ) -> tuple[float, ...]:
     """Return the candidate near the best place with the largest expected gain of time."""
     centre = np.array(places)
-    near = np.clip(centre + width * random.standard_normal((_CANDIDATES, len(centre))), 0.0, 1.0)
+    candidates = np.clip(
+        centre + width * random.standard_normal((_CANDIDATES, len(centre))), 0.0, 1.0
+    )
     timed = [one for one in tried if one.duration_s is not None]
     if len(timed) < 2:
-        return tuple(near[0].tolist())
-    seconds, off_s = _plane(timed, [one.duration_s or 0.0 for one in timed], centre, near)
-    most_s = best_s if math.isfinite(best_s) else max(one.duration_s or 0.0 for one in timed)
-    off_s = max(off_s, _TICKS * tick_s)
-    ahead = (most_s - AS_GOOD * tick_s - seconds) / off_s
+        return tuple(candidates[0].tolist())
+    predicted_s, scatter_s = _plane(
+        timed, [one.duration_s or 0.0 for one in timed], centre, candidates
+    )
+    reference_s = best_s if math.isfinite(best_s) else max(one.duration_s or 0.0 for one in timed)
+    scatter_s = max(scatter_s, _TICKS * tick_s)
+    standard_gains = (reference_s - AS_GOOD * tick_s - predicted_s) / scatter_s
     normal = NormalDist()
-    value = np.array([a * normal.cdf(a) + normal.pdf(a) for a in ahead.tolist()])
+    merits = np.array([a * normal.cdf(a) + normal.pdf(a) for a in standard_gains.tolist()])
     for name in {name for one in tried for name in one.used}:
         judged = [one for one in tried if name in one.used]
-        excess = [math.log(min(max(one.used[name], _LEAST), _MOST)) for one in judged]
-        errors, scatter = _plane(judged, excess, centre, near)
+        logs_used = [math.log(min(max(one.used[name], _LEAST_USED), _MOST_USED)) for one in judged]
+        predicted_logs, scatter = _plane(judged, logs_used, centre, candidates)
         scatter = max(scatter, _NOISE)
-        value *= [normal.cdf(-error / scatter) ** _CAUTION for error in errors.tolist()]
-    return tuple(near[int(np.argmax(value))].tolist())
+        merits *= [normal.cdf(-error / scatter) ** _CAUTION for error in predicted_logs.tolist()]
+    return tuple(candidates[int(np.argmax(merits))].tolist())
 
 
 def _plane(
-    tried: Sequence[Tried], values: Sequence[float], centre: FloatArray, at: FloatArray
+    tried: Sequence[Tried], values: Sequence[float], centre: FloatArray, points: FloatArray
 ) -> tuple[FloatArray, float]:
-    """Return (m,) values of a plane at the (m, knobs) places ``at``, and its scatter.
+    """Return (m,) values of a plane at the (m, knobs) places ``points``, and its scatter.
 
     The plane is fitted to the ``values`` of the trials; trials near ``centre`` have the most
     weight. The scatter is the weighted root mean square of the residuals.
     """
-    away = np.array([one.places for one in tried]) - centre
-    weight = np.exp(-0.5 * (away**2).sum(axis=1) / _NEAR**2) + 1e-6
-    rows = np.concatenate([np.ones((len(away), 1)), away], axis=1)
-    value = np.array(values)
+    offsets = np.array([one.places for one in tried]) - centre
+    weight = np.exp(-0.5 * (offsets**2).sum(axis=1) / _NEAR**2) + 1e-6
+    rows = np.concatenate([np.ones((len(offsets), 1)), offsets], axis=1)
+    observed = np.array(values)
     ridge = _RIDGE * weight.sum() * np.eye(rows.shape[1])
     ridge[0, 0] = 0.0
     weighted = (rows * weight[:, None]).T
-    fitted = np.linalg.solve(weighted @ rows + ridge, weighted @ value)
-    off = value - rows @ fitted
-    scatter = math.sqrt(float((weight * off**2).sum() / weight.sum()))
-    predicted = np.concatenate([np.ones((len(at), 1)), at - centre], axis=1) @ fitted
+    fitted = np.linalg.solve(weighted @ rows + ridge, weighted @ observed)
+    residuals = observed - rows @ fitted
+    scatter = math.sqrt(float((weight * residuals**2).sum() / weight.sum()))
+    predicted = np.concatenate([np.ones((len(points), 1)), points - centre], axis=1) @ fitted
     return np.asarray(predicted), scatter

@@ -112,37 +112,37 @@ class Choosing:
         options = chosen(self.options, self.knobs, places, self.narrower)
         self.tried += 1
         used: dict[str, float] = {}
-        first_s: float | None = None
-        missed = math.inf
-        for again in range(_MOST_NARROWED):
+        first_duration_s: float | None = None
+        previous_budget_used = math.inf
+        for mend_count in range(_MOST_NARROWED):
             try:
                 plan = self._planned(options)
             except LimitError as error:
                 if error.quantity == "travel":
                     raise
                 self._tried(options, beyond(error, self.question.machine), None)
-                return Tried(places=places, duration_s=first_s, used=used, passed=False)
-            first_s = plan.duration_s if first_s is None else first_s
+                return Tried(places=places, duration_s=first_duration_s, used=used, passed=False)
+            first_duration_s = plan.duration_s if first_duration_s is None else first_duration_s
             if plan.duration_s >= below_s:
                 break
             verdict = self._judged(plan)
-            kept = used_of(verdict)
-            used = used if again else kept
+            plan_used = used_of(verdict)
+            used = used if mend_count else plan_used
             self._tried(options, verdict, plan.duration_s)
             if verdict.passed:
                 self.narrower = {
                     line: width / options.tolerance_m for line, width in options.narrow
                 }
                 places = places_of(options, self.knobs, self.question.machine)
-                return Tried(places=places, duration_s=plan.duration_s, used=kept, passed=True)
+                return Tried(places=places, duration_s=plan.duration_s, used=plan_used, passed=True)
             mended = None
-            if "narrow" in self.question.free and kept.get(BUDGET, 0.0) < missed:
+            if "narrow" in self.question.free and plan_used.get(BUDGET, 0.0) < previous_budget_used:
                 mended = narrowed(options, verdict, self._lines, plan.duration_s)
-            missed = kept.get(BUDGET, 0.0)
+            previous_budget_used = plan_used.get(BUDGET, 0.0)
             if mended is None:
                 break
             options = mended
-        return Tried(places=places, duration_s=first_s, used=used, passed=False)
+        return Tried(places=places, duration_s=first_duration_s, used=used, passed=False)
 
     @cached_property
     def _lines(self) -> list[int]:
@@ -156,15 +156,15 @@ class Choosing:
             question.until.check()
         end_s = math.inf if question.until is None else question.until.end_s
         if math.isinf(end_s):
-            spent = (time.process_time() - self.begun_s) / PROCESSOR_S
+            spent_share = (time.process_time() - self.begun_s) / PROCESSOR_S
         else:
-            spent = (time.monotonic() - self.started_s) / max(end_s - self.started_s, 1e-3)
-        if math.isinf(end_s) and spent >= 1.0 and math.isfinite(self.best_s):
+            spent_share = (time.monotonic() - self.started_s) / max(end_s - self.started_s, 1e-3)
+        if math.isinf(end_s) and spent_share >= 1.0 and math.isfinite(self.best_s):
             if question.until is not None:
                 question.until.ended = f"after {PROCESSOR_S / 60.0:g} min of processor time"
             raise HaltError
         if question.progress is not None:
-            question.progress("proving", min(max(self.tried / self.most, spent), 1.0))
+            question.progress("proving", min(max(self.tried / self.most, spent_share), 1.0))
         return plan_job(question.job, question.machine, options)
 
     def _judged(self, plan: Plan) -> Verdict:
@@ -177,9 +177,9 @@ class Choosing:
         verdict = question.judged(plan)
         if not verdict.passed or not 1 < question.trials.repeats < _CONFIRMED:
             return verdict
-        more = replace(question.trials.alone, repeats=_CONFIRMED)
-        many = try_plan(plan, question.spec, more, question.actual).verdict
-        return question.searched(plan, verdict) if many.passed else many
+        more_trials = replace(question.trials.alone, repeats=_CONFIRMED)
+        confirmed = try_plan(plan, question.spec, more_trials, question.actual).verdict
+        return question.searched(plan, verdict) if confirmed.passed else confirmed
 
     def _tried(self, options: Options, verdict: Verdict, duration_s: float | None) -> None:
         feed = options.feed
@@ -197,8 +197,8 @@ def fastest_chosen(question: Question) -> FastestJob:
     """
     question = replace(question, progress=never_back(question.progress))
     machine, until = question.machine, question.until
-    top = feed_range_m_s(machine)[1] if question.high is None else question.high
-    options = replace(question.options, feed=Feed(FeedMode.FASTEST_AXIS, top))
+    top_feed_m_s = feed_range_m_s(machine)[1] if question.high is None else question.high
+    options = replace(question.options, feed=Feed(FeedMode.FASTEST_AXIS, top_feed_m_s))
     tick_s = float(machine.tick_clock.period_s)
     searches: list[Choosing] = []
     with until_deadline(until, lambda: any(one.rungs for one in searches)):
@@ -217,9 +217,9 @@ def fastest_chosen(question: Question) -> FastestJob:
             if best_of(tried) is None:
                 continue
             ticks = max(search.best_s / tick_s, 1.0)
-            further = int(min(max(_ALL_TICKS / ticks, _LEAST_PLANS), _MOST_PLANS))
-            search.most = search.tried + further
-            improved(search.attempt, tried, further, tick_s, careful)
+            more_plans = int(min(max(_ALL_TICKS / ticks, _LEAST_PLANS), _MOST_PLANS))
+            search.most = search.tried + more_plans
+            improved(search.attempt, tried, more_plans, tick_s, careful)
             break
     rungs = [rung for search in searches for rung in search.rungs]
     passed = [rung for rung in rungs if rung.duration_s is not None]
@@ -268,9 +268,9 @@ def _limited_by(rungs: Sequence[Rung]) -> str:
 
 def _bounds(question: Question, options: Options) -> tuple[Bound, ...]:
     """Return the least times along the path of a plan, and along any path in specification."""
-    free = replace(options, reserve=Reserve(0.0, 0.0))
-    found = bounds_of(question.job, question.machine, free)
+    without_reserve = replace(options, reserve=Reserve(0.0, 0.0))
+    bounds = bounds_of(question.job, question.machine, without_reserve)
     within_m = budget_m(question.spec)
     if within_m is None:
-        return found
-    return (*found, *least_on_any_path(question.job, question.machine, options, within_m))
+        return bounds
+    return (*bounds, *least_on_any_path(question.job, question.machine, options, within_m))

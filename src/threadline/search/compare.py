@@ -90,14 +90,14 @@ class Comparison(Summarised):
 
     def _summary(self) -> Summary:
         first = self.proofs[0].plan.options
-        differ = [
+        differing = [
             key
             for key in ("interpolation", "feed", "shaper")
             if any(one.plan.options.get(key) != first.get(key) for one in self.proofs)
         ]
         fastest = "; .fastest has the fastest job of each" if self.fastest else ""
-        below = f"{closing_of_all([one.verdict for one in self.proofs])}{fastest}"
-        return Summary(*compared_table(self, differ or ["interpolation"]), below)
+        closing = f"{closing_of_all([one.verdict for one in self.proofs])}{fastest}"
+        return Summary(*compared_table(self, differing or ["interpolation"]), closing)
 
 
 def compared_table(
@@ -118,16 +118,16 @@ def compared_table(
         columns = tuple(
             (name, title)
             for name, title in columns
-            if any(_worst(proof, name) != "-" for proof in found.proofs)
+            if any(_worst_text(proof, name) != "-" for proof in found.proofs)
         )
-    own = ["as run s"] if any(found.as_run_s) else []
-    header = [*shown, "time s", *own, *(title for _, title in columns), "verdict"]
+    as_run_header = ["as run s"] if any(found.as_run_s) else []
+    header = [*shown, "time s", *as_run_header, *(title for _, title in columns), "verdict"]
     rows = [
         [
             *(_label(proof, key) for key in shown),
             f"{proof.plan.duration_s:.3f}",
-            *(["-" if run_s is None else f"{run_s:.3f}"] if own else []),
-            *(_worst(proof, name) for name, _ in columns),
+            *(["-" if run_s is None else f"{run_s:.3f}"] if as_run_header else []),
+            *(_worst_text(proof, name) for name, _ in columns),
             in_a_word(proof.verdict),
         ]
         for proof, run_s in zip(found.proofs, found.as_run_s, strict=True)
@@ -147,7 +147,7 @@ def _label(proof: Proof, key: str) -> str:
     return proof.plan.options.get(key, "none")
 
 
-def _worst(proof: Proof, name: str) -> str:
+def _worst_text(proof: Proof, name: str) -> str:
     """Return the worst value of a criterion: length in mm, time in s, share in %.
 
     ``-`` if it was not measured.
@@ -203,21 +203,21 @@ def compare(
     """
     check_machine(machine)
     planned = list(dict.fromkeys(one.on(machine) for one in planned))
-    searched = job.paced_by in ("feed", "needle") and not machine.without_dynamics
-    with_fastest = with_fastest and searched
+    searchable = job.paced_by in ("feed", "needle") and not machine.without_dynamics
+    with_fastest = with_fastest and searchable
     proofs = []
     refused: list[tuple[str, str]] = []
-    why: PlanError | None = None
+    last_refusal: PlanError | None = None
     by_interpolation = {one.interpolation: one for one in reversed(planned)}
     by_interpolation = dict(reversed(by_interpolation.items()))
     steps = len(planned) + (len(by_interpolation) if with_fastest else 0)
-    done = 0
+    done_count = 0
 
     def stepped(what: str) -> None:
-        nonlocal done
+        nonlocal done_count
         if progress is not None:
-            progress(what, done / steps)
-        done += 1
+            progress(what, done_count / steps)
+        done_count += 1
 
     for options in planned:
         stepped(options.shaper or options.interpolation)
@@ -227,11 +227,11 @@ def compare(
             if options.shaper is None:
                 raise
             refused.append((options.shaper, error.message))
-            why = error
+            last_refusal = error
             continue
         proofs.append(prove_plan(plan, with_product(spec, machine, options), trials=trials))
-    if not proofs and why is not None:
-        raise why
+    if not proofs and last_refusal is not None:
+        raise last_refusal
     fastest = {}
     if with_fastest:
         for interpolation, options in by_interpolation.items():

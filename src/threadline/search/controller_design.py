@@ -38,7 +38,7 @@ from threadline.units import parse_number
 _MOST_GAIN = 100.0
 _MOST_SMOOTHING = 15
 _REGULATORS = ("lqg", "preview", "zpetc")
-_FOR: Mapping[str, tuple[str, ...]] = {
+_DESIGNS_WITH_OPTION: Mapping[str, tuple[str, ...]] = {
     "gain": _REGULATORS, "sensors": _REGULATORS, "ahead": ("preview",), "smoothing": ("zpetc",),
     "axes": ("cross-coupled",), "direction": ("cross-coupled",), "coupling": ("cross-coupled",),
 }  # fmt: skip
@@ -152,22 +152,28 @@ def design_controllers(machine: Machine, wanted: Wanted, file: Path) -> ControlD
         If the file cannot be written.
     """
     _check(machine, wanted, file)
-    words = f"threadline control {machine.reference} --design {wanted.design}"
+    command_text = f"threadline control {machine.reference} --design {wanted.design}"
     if wanted.design == "cross-coupled":
-        found, said = _coupled(machine, wanted)
+        designs, option_text = _coupled(machine, wanted)
     else:
-        found, said = _of_regulators(machine, wanted)
+        designs, option_text = _of_regulators(machine, wanted)
     with tempfile.TemporaryDirectory() as folder:
-        trial = Path(folder) / "designed.toml"
-        trial.write_text(overlay_text(machine, _base(machine, None), words + said, found))
-        axes = analyse(load_machine(trial))
+        trial_file = Path(folder) / "designed.toml"
+        trial_file.write_text(
+            overlay_text(machine, _base(machine, None), command_text + option_text, designs)
+        )
+        axes = analyse(load_machine(trial_file))
     with atomic_file(file) as stream:
-        stream.write(overlay_text(machine, _base(machine, file), words + said, found).encode())
+        stream.write(
+            overlay_text(
+                machine, _base(machine, file), command_text + option_text, designs
+            ).encode()
+        )
     return ControlDesign(
         design=wanted.design,
         base=machine,
         machine=load_machine(str(file)),
-        controllers=tuple(found),
+        controllers=tuple(designs),
         axes=axes,
         file=file,
     )
@@ -178,7 +184,7 @@ def _check(machine: Machine, wanted: Wanted, file: Path) -> None:
         raise OptionError(
             f"no design {wanted.design[:40]!r}", remedy=f"There are: {', '.join(DESIGNS)}."
         )
-    for name, designs in _FOR.items():
+    for name, designs in _DESIGNS_WITH_OPTION.items():
         if getattr(wanted, name) is not None and wanted.design not in designs:
             raise OptionError(
                 f"--{name} is for the design {' or '.join(designs)}, not for {wanted.design}",
@@ -210,28 +216,32 @@ def _of_regulators(machine: Machine, wanted: Wanted) -> tuple[list[Designed], st
         raise OptionError(f"--ahead {ahead} is not from {PREVIEW[0]} to {PREVIEW[1]}")
     if smoothing % 2 == 0 or not 1 <= smoothing <= _MOST_SMOOTHING:
         raise OptionError(f"--smoothing {smoothing} is no odd number from 1 to {_MOST_SMOOTHING}")
-    others = wanted.sensors or ()
-    found = regulators(machine, gain, others)
-    said = f" --gain {gain:g}" + (f" --sensors {','.join(others)}" if others else "")
+    other_sensors = wanted.sensors or ()
+    plants = regulators(machine, gain, other_sensors)
+    option_text = f" --gain {gain:g}" + (
+        f" --sensors {','.join(other_sensors)}" if other_sensors else ""
+    )
     if wanted.design == "lqg":
-        return [lqg(one) for one in found], said
+        return [lqg(one) for one in plants], option_text
     if wanted.design == "preview":
-        return [preview(one, ahead) for one in found], f"{said} --ahead {ahead}"
-    late = max(zero_phase_ticks(one, smoothing) for one in found)
-    made = [zero_phase(one, late, smoothing) for one in found]
-    return made, f"{said} --smoothing {smoothing}"
+        return [preview(one, ahead) for one in plants], f"{option_text} --ahead {ahead}"
+    delay_ticks = max(zero_phase_ticks(one, smoothing) for one in plants)
+    designs = [zero_phase(one, delay_ticks, smoothing) for one in plants]
+    return designs, f"{option_text} --smoothing {smoothing}"
 
 
 def _coupled(machine: Machine, wanted: Wanted) -> tuple[list[Designed], str]:
     """Return the controller of two coupled axes, and the options that were used."""
     pair = _pair(machine, wanted.axes)
-    theta = parse_number("--direction", wanted.direction or "45 deg", "rad", "45 deg")
+    angle_rad = parse_number("--direction", wanted.direction or "45 deg", "rad", "45 deg")
     coupling = wanted.coupling or "50 %"
     weight = parse_number("--coupling", coupling, "", "50 %")
     if not 0.0 <= weight <= _MOST_GAIN:
         raise OptionError(f"--coupling {coupling!r} is not between 0 and {_MOST_GAIN:.0%}")
-    said = f" --axes {','.join(pair)} --direction {math.degrees(theta):g}deg"
-    return [cross_coupled(machine, pair, theta, weight)], f"{said} --coupling {100 * weight:g}%"
+    option_text = f" --axes {','.join(pair)} --direction {math.degrees(angle_rad):g}deg"
+    return [
+        cross_coupled(machine, pair, angle_rad, weight)
+    ], f"{option_text} --coupling {100 * weight:g}%"
 
 
 def _pair(machine: Machine, axes: Sequence[str] | None) -> tuple[str, str]:
@@ -249,8 +259,12 @@ def _base(machine: Machine, file: Path | None) -> str:
     """Return the reference to the machine: relative to a file's folder, or absolute for None."""
     name, overlays = split_reference(machine.reference)
     if name.endswith(".toml"):
-        own = Path(machine.file).resolve()
-        name = str(own) if file is None else os.path.relpath(own, file.resolve().parent)
+        machine_file = Path(machine.file).resolve()
+        name = (
+            str(machine_file)
+            if file is None
+            else os.path.relpath(machine_file, file.resolve().parent)
+        )
     return "+".join([Path(name).as_posix(), *overlays])
 
 
@@ -264,7 +278,7 @@ def overlay_text(machine: Machine, base: str, made: str, designs: Sequence[Desig
     made
         How the numbers were made: one line.
     """
-    gone = [machine.axes[axis].controller for design in designs for axis in design.axes]
+    replaced = [machine.axes[axis].controller for design in designs for axis in design.axes]
     names: list[str] = []
     for design in designs:
         names.append(_controller_name(design.axes, {*machine.controllers, *names}))
@@ -273,7 +287,7 @@ def overlay_text(machine: Machine, base: str, made: str, designs: Sequence[Desig
         f"base = {toml_string(base)}",
         "",
         "[controllers]",
-        *(f'{name} = "none"' for name in dict.fromkeys(gone)),
+        *(f'{name} = "none"' for name in dict.fromkeys(replaced)),
     ]
     for name, design in zip(names, designs, strict=True):
         lines += ["", f"[controllers.{name}]", 'kind = "state-space"', f'clock = "{design.clock}"']
@@ -304,9 +318,13 @@ def overlay_text(machine: Machine, base: str, made: str, designs: Sequence[Desig
 
 def _controller_name(axes: Sequence[str], taken: set[str]) -> str:
     """Return a name for the controller of the axes that is not in ``taken``."""
-    first = "-".join(axis.lower() for axis in axes) + "-designed"
-    others = (f"{first}-{number}" for number in count(2))
-    return first if first not in taken else next(one for one in others if one not in taken)
+    base_name = "-".join(axis.lower() for axis in axes) + "-designed"
+    numbered_names = (f"{base_name}-{number}" for number in count(2))
+    return (
+        base_name
+        if base_name not in taken
+        else next(one for one in numbered_names if one not in taken)
+    )
 
 
 def _toml_names(names: Sequence[str]) -> str:

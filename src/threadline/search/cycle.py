@@ -64,8 +64,12 @@ class FastestCycle:
 
 def cycle_s(proof: Proof) -> float:
     """Return the cycle time of a proof: simulated where it was measured, else planned."""
-    found = [r.measured for r in proof.verdict.results if r.name == "cycle_time"]
-    return found[0] if found and found[0] is not None else proof.plan.duration_s
+    cycle_times_s = [r.measured for r in proof.verdict.results if r.name == "cycle_time"]
+    return (
+        cycle_times_s[0]
+        if cycle_times_s and cycle_times_s[0] is not None
+        else proof.plan.duration_s
+    )
 
 
 def fastest_cycle(question: Question) -> FastestCycle:
@@ -88,17 +92,17 @@ def fastest_cycle(question: Question) -> FastestCycle:
         proof = try_plan(plan, spec, question.trials, question.actual, question.suspects)
         return replace(proof, verdict=question.searched(plan, proof.verdict))
 
-    plain = with_choices(question.job, {}, {})
-    unshaped = proved(plain)
-    free = overlapped(plain, machine)
-    base = proved(free)
-    forecast = CycleForecast(free, machine, spec, base, question.actual or machine)
+    plain_job = with_choices(question.job, {}, {})
+    unshaped = proved(plain_job)
+    overlapped_job = overlapped(plain_job, machine)
+    base = proved(overlapped_job)
+    forecast = CycleForecast(overlapped_job, machine, spec, base, question.actual or machine)
     best: tuple[Job, Proof, Cycle] | None = None
-    closest: tuple[float, Proof, Cycle | None] = (_excess(base), base, None)
-    limited_by = RANGE if base.verdict.passed else _failing(base)
+    closest: tuple[float, Proof, Cycle | None] = (_worst_ratio(base), base, None)
+    limited_by = RANGE if base.verdict.passed else _failed_criterion(base)
     if base.verdict.passed:
         return FastestCycle(
-            job=free,
+            job=overlapped_job,
             proof=base,
             unshaped=unshaped,
             base=base,
@@ -126,9 +130,9 @@ def fastest_cycle(question: Question) -> FastestCycle:
                 # The corrected forecast may find a shorter cycle.
                 best = chosen, proof, cycle
             else:
-                limited_by = _failing(proof)
-                if _excess(proof) < closest[0]:
-                    closest = _excess(proof), proof, cycle
+                limited_by = _failed_criterion(proof)
+                if _worst_ratio(proof) < closest[0]:
+                    closest = _worst_ratio(proof), proof, cycle
             forecast.learn(cycle, proof)
     if best is None:
         return FastestCycle(
@@ -137,7 +141,7 @@ def fastest_cycle(question: Question) -> FastestCycle:
             unshaped=unshaped,
             base=base,
             moves=forecast.move_choices(closest[2]),
-            limited_by=_failing(closest[1]),
+            limited_by=_failed_criterion(closest[1]),
             tried=tried,
         )
     return FastestCycle(
@@ -151,14 +155,14 @@ def fastest_cycle(question: Question) -> FastestCycle:
     )
 
 
-def _failing(proof: Proof) -> str:
+def _failed_criterion(proof: Proof) -> str:
     failed = [r for r in proof.verdict.results if r.status is Status.FAILED]
     worst = max(failed, key=lambda result: result.severity, default=None)
-    lacking = [r for r in proof.verdict.results if r.required and r.measured is None]
-    return worst.name if worst else lacking[0].name if lacking else ""
+    not_measured = [r for r in proof.verdict.results if r.required and r.measured is None]
+    return worst.name if worst else not_measured[0].name if not_measured else ""
 
 
-def _excess(proof: Proof) -> float:
+def _worst_ratio(proof: Proof) -> float:
     return max(
         (
             r.measured / r.limit if r.limit else np.inf

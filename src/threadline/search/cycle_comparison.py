@@ -57,32 +57,39 @@ def compare_cycles(
     machine, spec, progress = question.machine, question.spec, question.progress
     machines = () if question.band is None else band_machines(machine, question.band)
     rows = {}
-    free = overlapped(with_choices(question.job, {}, {}), machine)
+    overlapped_job = overlapped(with_choices(question.job, {}, {}), machine)
     for number, name in enumerate(SHAPERS):
         if progress is not None:
             progress("cycles side by side", number / len(SHAPERS))
         try:
-            plan = plan_job(free, machine, Options(shaper=name))
+            plan = plan_job(overlapped_job, machine, Options(shaper=name))
             proof = prove_plan(plan, spec, None, NOMINAL, question.actual)
-            over = over_band(plan, spec, machines)
+            band_runs = over_band(plan, spec, machines)
         except (PlanError, RecordingError):
             continue  # the valves cannot make the command, or the cycle never ends
-        rows[name] = _row(name, cycle_s(proof), proof.verdict, over)
-    listed = found.unshaped
+        rows[name] = _row(name, cycle_s(proof), proof.verdict, band_runs)
+    listed_proof = found.unshaped
     shown = [
-        _row(AS_LISTED, cycle_s(listed), listed.verdict, over_band(listed.plan, spec, machines))
+        _row(
+            AS_LISTED,
+            cycle_s(listed_proof),
+            listed_proof.verdict,
+            over_band(listed_proof.plan, spec, machines),
+        )
     ]
     if "none" in rows and rows["none"].cycle_s < shown[0].cycle_s:
         shown.append(rows["none"])
     shaped = [row for name, row in rows.items() if name != "none"]
     if shaped:
-        chosen = [_best(shaped, [row.passed for row in shaped])]
+        best_rows = [_best(shaped, [row.passed for row in shaped])]
         if machines:
-            chosen.append(_best(shaped, [bool(row.over_passed) for row in shaped]))
-        shown += dict.fromkeys(chosen)
+            best_rows.append(_best(shaped, [bool(row.over_passed) for row in shaped]))
+        shown += dict.fromkeys(best_rows)
     if found.job is not None:
-        over = over_band(found.proof.plan, spec, machines)
-        shown.append(_row("found for the machine", cycle_s(found.proof), found.proof.verdict, over))
+        band_runs = over_band(found.proof.plan, spec, machines)
+        shown.append(
+            _row("found for the machine", cycle_s(found.proof), found.proof.verdict, band_runs)
+        )
     if robust is not None and robust.job is not None:
         proof = robust.proof
         shown.append(_row("found for the band", cycle_s(proof), proof.verdict, robust.over))
@@ -91,18 +98,22 @@ def compare_cycles(
 
 def _best(rows: list[CycleRow], passed: list[bool]) -> CycleRow:
     if any(passed):
-        held = [row for row, ok in zip(rows, passed, strict=True) if ok]
-        return min(held, key=lambda row: row.cycle_s)
+        passing = [row for row, ok in zip(rows, passed, strict=True) if ok]
+        return min(passing, key=lambda row: row.cycle_s)
     return min(rows, key=lambda row: row.worst_m if row.over_m is None else row.over_m)
 
 
-def _row(name: str, duration_s: float, verdict: Verdict, over: tuple[BandRun, ...]) -> CycleRow:
-    found = [r.measured for r in verdict.results if r.name == MEASURE and r.measured is not None]
+def _row(
+    name: str, duration_s: float, verdict: Verdict, band_runs: tuple[BandRun, ...]
+) -> CycleRow:
+    vibrations_m = [
+        r.measured for r in verdict.results if r.name == MEASURE and r.measured is not None
+    ]
     return CycleRow(
         name="unshaped, overlapped" if name == "none" else name,
         cycle_s=duration_s,
-        worst_m=max(found, default=0.0),
+        worst_m=max(vibrations_m, default=0.0),
         passed=verdict.passed,
-        over_m=max((run.worst_m for run in over), default=None),
-        over_passed=all(run.verdict.passed for run in over) if over else None,
+        over_m=max((run.worst_m for run in band_runs), default=None),
+        over_passed=all(run.verdict.passed for run in band_runs) if band_runs else None,
     )

@@ -134,13 +134,13 @@ class CycleForecast:
 
     def _limit(self, spec: Spec, move: ScheduledMove) -> float:
         """Return the allowed ringing after a move, in units of a full step."""
-        own = [
+        limits = [
             c.limit
             for c in spec.criteria
             if c.name == _MEASURE and c.limit is not None and c.axis in {"", move.axis}
             and c.step in {"", move.step}
         ]  # fmt: skip
-        return min(own, default=np.inf) / abs(self._ringing[move.axis].amplitude_m)
+        return min(limits, default=np.inf) / abs(self._ringing[move.axis].amplitude_m)
 
     def _rest_scans(self, job: Job) -> list[int]:
         """Return the rest after the last switching of each move, in scans."""
@@ -159,8 +159,8 @@ class CycleForecast:
         """Return the shortest untried cycle whose forecast is within the limits."""
         states = [_State(0, self._carried)]
         for index, move in enumerate(self._base.moves):
-            states = _kept(
-                [after for state in states for after in self._after(state, index, move)],
+            states = _best_states(
+                [next_state for state in states for next_state in self._after(state, index, move)],
                 {m.axis: self._limits[i] for i, m in enumerate(self._base.moves)},
             )
         for state in sorted(states, key=lambda s: s.cost):
@@ -173,43 +173,49 @@ class CycleForecast:
     def _after(self, state: _State, index: int, move: ScheduledMove) -> list[_State]:
         """Return the next states: pairs of wait and command whose ringing is within the limit."""
         axis, sign = move.axis, 1.0 if move.forward else -1.0
-        before = state.commands[-1].scans if state.commands else 0
-        along = self._with_before[index]
+        previous_scans = state.commands[-1].scans if state.commands else 0
+        simultaneous = self._with_before[index]
         # ``pause`` counts from the last switching of the previous move; both moves may start
         # together.
-        pause = -before if along else self._pauses[index] + state.lasts - before
-        so_far = state.lasts if along else 0
-        most = self._share[axis] * self._limits[index]
+        pause = (
+            -previous_scans if simultaneous else self._pauses[index] + state.lasts - previous_scans
+        )
+        so_far = state.lasts if simultaneous else 0
+        most_ringing = self._share[axis] * self._limits[index]
         commands = self._commands[index]
         bias = [self._own[index].get(c.scans, self._bias[index]) for c in commands]
-        left = sign * np.array([command.left for command in commands]) + np.array(bias)
+        ringing_left = sign * np.array([command.left for command in commands]) + np.array(bias)
         scans = np.array([command.scans for command in commands])
-        turn = self._turn[axis]
+        turn_per_scan = self._turn[axis]
         quiet = abs(state.ringing[axis]) < 1e-9
-        waits = np.arange(1 if quiet or along else _LONGEST_WAIT + 1) * step_scans(turn)
+        waits = np.arange(1 if quiet or simultaneous else _LONGEST_WAIT + 1) * step_scans(
+            turn_per_scan
+        )
         elapsed = pause + waits[:, None] + scans
-        behind = state.ringing[axis] * np.exp(np.log(turn) * elapsed) + left
-        row, column = np.nonzero(np.abs(behind) <= most)
+        ringing_after = state.ringing[axis] * np.exp(np.log(turn_per_scan) * elapsed) + ringing_left
+        row, column = np.nonzero(np.abs(ringing_after) <= most_ringing)
         lasts = np.maximum(scans + self._rests[index], so_far)
         cost = waits[row] + lasts[column] - so_far
-        best = np.lexsort((np.abs(behind[row, column]), cost))[:_BRANCHES]
-        found = []
-        for line, at in zip(row[best].tolist(), column[best].tolist(), strict=True):
-            command, wait = commands[at], int(waits[line])
-            gone = pause + wait + command.scans
-            ringing = {a: s * self._turn[a] ** gone for a, s in state.ringing.items()}
-            ringing[axis] = complex(behind[line, at])
-            found.append(
+        best = np.lexsort((np.abs(ringing_after[row, column]), cost))[:_BRANCHES]
+        next_states = []
+        for wait_index, command_index in zip(
+            row[best].tolist(), column[best].tolist(), strict=True
+        ):
+            command, wait = commands[command_index], int(waits[wait_index])
+            elapsed_scans = pause + wait + command.scans
+            ringing = {a: s * self._turn[a] ** elapsed_scans for a, s in state.ringing.items()}
+            ringing[axis] = complex(ringing_after[wait_index, command_index])
+            next_states.append(
                 _State(
-                    state.cost + wait + int(lasts[at]) - so_far,
+                    state.cost + wait + int(lasts[command_index]) - so_far,
                     ringing,
                     (*state.commands, command),
                     (*state.waits, wait),
                     (*state.left, ringing[axis]),
-                    int(lasts[at]),
+                    int(lasts[command_index]),
                 )
             )
-        return found
+        return next_states
 
     def _between(self, run: SwitchRun, waits: Sequence[int]) -> list[int]:
         """Return the scans between each operation's end and the next moving operation, less waits.
@@ -221,8 +227,8 @@ class CycleForecast:
         for index, move in enumerate(moves):
             end = round(move.end_s / self._scan_s) + self._rests[index]
             ends.append(max(end, ends[-1]) if self._with_before[index] else end)
-        for index, now in enumerate(moves[1:], start=1):
-            begin = round(now.begin_s / self._scan_s)
+        for index, next_move in enumerate(moves[1:], start=1):
+            begin = round(next_move.begin_s / self._scan_s)
             pauses.append(max(begin - ends[index - 1] - waits[index], 0))
         return pauses
 
@@ -230,34 +236,34 @@ class CycleForecast:
         """Correct the forecast by the twin's ringing; if both agree, lower the limit."""
         run = SwitchRun(proof.recording, proof.plan)
         self._pauses = self._between(run, cycle.waits)
-        known: dict[str, tuple[float, complex]] = {}
+        last_ringing: dict[str, tuple[float, complex]] = {}
         learned = False
         steady = len(run.moves) - len(self._base.moves)
-        for at, move in enumerate(run.moves):
-            index = at % len(self._base.moves)
+        for run_index, move in enumerate(run.moves):
+            index = run_index % len(self._base.moves)
             axis, sign = move.planned.axis, 1.0 if move.planned.forward else -1.0
-            if at and at == steady:
+            if run_index and run_index == steady:
                 self._carried |= {
                     a: ringing * np.exp(self._ringing[a].pole * (move.begin_s - since_s))
-                    for a, (since_s, ringing) in known.items()
+                    for a, (since_s, ringing) in last_ringing.items()
                 }
-            before_s, before = known.get(axis, (move.end_s, 0j))
-            aged = before * np.exp(self._ringing[axis].pole * (move.end_s - before_s))
-            forecast = complex(aged + sign * cycle.commands[index].left)
-            found = self._measured(run, at)
-            if found is None:
+            before_s, ringing_before = last_ringing.get(axis, (move.end_s, 0j))
+            decayed = ringing_before * np.exp(self._ringing[axis].pole * (move.end_s - before_s))
+            forecast = complex(decayed + sign * cycle.commands[index].left)
+            measured = self._measured(run, run_index)
+            if measured is None:
                 scans = cycle.commands[index].scans
                 bias = self._own[index].get(scans, self._bias[index])
-                known[axis] = move.end_s, forecast + bias
+                last_ringing[axis] = move.end_s, forecast + bias
                 continue
-            known[axis] = move.end_s, found
-            if at < steady:
+            last_ringing[axis] = move.end_s, measured
+            if run_index < steady:
                 continue
-            fresh = found - forecast
+            deviation = measured - forecast
             scans = cycle.commands[index].scans
             believed = self._own[index].get(scans, self._bias[index])
-            learned = learned or abs(fresh - believed) > 0.02 * self._limits[index]
-            self._bias[index] = self._own[index][scans] = fresh
+            learned = learned or abs(deviation - believed) > 0.02 * self._limits[index]
+            self._bias[index] = self._own[index][scans] = deviation
         if not learned:
             for axis in self._share:
                 self._share[axis] *= _LESS
@@ -267,45 +273,45 @@ class CycleForecast:
         move = run.moves[index]
         axis = move.planned.axis
         frame, ringing = run.find(ChannelKind.FRAME, axis), self._ringing[axis]
-        later = [m.begin_s for m in run.moves[index + 1 :] if m.planned.axis == axis]
+        later_begins_s = [m.begin_s for m in run.moves[index + 1 :] if m.planned.axis == axis]
         if frame is None:
             return None
         period_s = 2.0 * np.pi / ringing.pole.imag
         cylinder = self._machine.cylinders[axis]
         begin_s = move.end_s + cylinder.rest_s(move.planned.forward)
-        end_s = min([*later, begin_s + period_s, float(frame[0][-1])])
+        end_s = min([*later_begins_s, begin_s + period_s, float(frame[0][-1])])
         if end_s < begin_s - 1e-9:
             return None
-        known = end_s - begin_s < _LEAST_SEEN * period_s
-        if known:  # short record: the rest position from before the cycle is used
+        short_window = end_s - begin_s < _LEAST_SEEN * period_s
+        if short_window:  # short record: the rest position from before the cycle is used
             begin_s = min(begin_s, end_s - _BY_SPEED * period_s)
         inside = (frame[0] >= begin_s) & (frame[0] <= end_s)
         time_s = frame[0][inside] - (move.end_s + cylinder.delay.si)
         wave = np.exp(ringing.pole * time_s) * ringing.amplitude_m
-        rows = np.column_stack((wave.real, -wave.imag, np.ones(len(time_s))))
-        if known:
-            rows = rows[:, :2]
+        regressors = np.column_stack((wave.real, -wave.imag, np.ones(len(time_s))))
+        if short_window:
+            regressors = regressors[:, :2]
         moved = frame[1][inside] - frame[1][0]
-        real, imag = np.linalg.lstsq(rows, moved, rcond=None)[0][:2]
+        real, imag = np.linalg.lstsq(regressors, moved, rcond=None)[0][:2]
         return complex(real, imag)
 
     def job_of(self, cycle: Cycle) -> Job:
         """Return the job with the commands and waits of a cycle."""
         waits: dict[int, float] = {}
         how: dict[int, tuple[str, str]] = {}
-        together = {
+        simultaneous = {
             m.operation
-            for m, along in zip(self._base.moves, self._with_before, strict=True)
-            if along
+            for m, with_before in zip(self._base.moves, self._with_before, strict=True)
+            if with_before
         }
-        each = []
+        levels_of_moves = []
         for move, command, wait in zip(self._base.moves, cycle.commands, cycle.waits, strict=True):
             waits.setdefault(move.operation, wait * self._scan_s)
-            if move.operation in together:
-                each.append((move.operation, move.axis, self._levels(move, command)))
+            if move.operation in simultaneous:
+                levels_of_moves.append((move.operation, move.axis, self._levels(move, command)))
             else:
                 how[move.operation] = self._how(move, command)
-        return with_choices(self._job, how | levels_of_operations(each), waits)
+        return with_choices(self._job, how | levels_of_operations(levels_of_moves), waits)
 
     def _how(self, move: ScheduledMove, command: LevelCommand) -> tuple[str, str]:
         if command.name != "levels":
@@ -319,16 +325,16 @@ class CycleForecast:
     def move_choices(self, cycle: Cycle | None) -> tuple[MoveChoice, ...]:
         """Return every move with its chosen command and wait; without a cycle, as unshaped."""
         lines = self._base.lines_of(self._job, {m.operation for m in self._base.moves})
-        optimal: dict[tuple[str, bool, int], float] = {}
+        optimal_s: dict[tuple[str, bool, int], float] = {}
         rows = []
         for index, move in enumerate(self._base.moves):
             scans = move.levels.ticks[-1]
             key = move.axis, move.forward, scans
-            if key not in optimal:
+            if key not in optimal_s:
                 pole = self._ringing[move.axis].pole
                 longer_s = self._valves(move).longer * self._scan_s
                 flow_s = scans * self._scan_s + longer_s
-                optimal[key] = time_optimal_s(flow_s, pole) - longer_s
+                optimal_s[key] = time_optimal_s(flow_s, pole) - longer_s
             command = None if cycle is None else cycle.commands[index]
             rows.append(
                 MoveChoice(
@@ -340,19 +346,19 @@ class CycleForecast:
                     command_s=(scans if command is None else command.scans) * self._scan_s,
                     wait_s=0.0 if cycle is None else cycle.waits[index] * self._scan_s,
                     unshaped_s=scans * self._scan_s,
-                    time_optimal_s=optimal[key],
+                    time_optimal_s=optimal_s[key],
                 )
             )
         return tuple(rows)
 
 
-def _kept(states: list[_State], limits: Mapping[str, float]) -> list[_State]:
+def _best_states(states: list[_State], limits: Mapping[str, float]) -> list[_State]:
     """Return the states with the least cost; of states with equal ringing only one is kept."""
     seen: dict[tuple[int, ...], _State] = {}
     for state in sorted(states, key=lambda s: (s.cost, sum(map(abs, s.ringing.values())))):
-        place: tuple[int, ...] = ()
+        grid_cell: tuple[int, ...] = ()
         for axis, ringing in state.ringing.items():
             grid = _GRID * limits[axis] if np.isfinite(limits[axis]) else 1.0
-            place += round(ringing.real / grid), round(ringing.imag / grid)
-        seen.setdefault(place, state)
+            grid_cell += round(ringing.real / grid), round(ringing.imag / grid)
+        seen.setdefault(grid_cell, state)
     return sorted(seen.values(), key=lambda s: s.cost)[:_BEAM]

@@ -59,8 +59,8 @@ class BandRun:
     @property
     def worst_m(self) -> float:
         """The largest residual vibration."""
-        found = [r.measured for r in self.verdict.results if r.name == MEASURE]
-        return max((value for value in found if value is not None), default=0.0)
+        vibrations_m = [r.measured for r in self.verdict.results if r.name == MEASURE]
+        return max((value for value in vibrations_m if value is not None), default=0.0)
 
 
 def band_machines(machine: Machine, band: float) -> tuple[tuple[float, Machine], ...]:
@@ -187,44 +187,44 @@ def robust_cycle(question: Question, band: float) -> RobustCycle:
         question.until,
     )
     machines = band_machines(machine, band)
-    free = overlapped(with_choices(question.job, {}, {}), machine)
-    plain = plan_job(free, machine, Options())
-    search = _Search(free, question, band, plain)
-    watched = replace(spec, criteria=(*spec.criteria, *search.by_step()))
-    over = False
+    overlapped_job = overlapped(with_choices(question.job, {}, {}), machine)
+    overlapped_plan = plan_job(overlapped_job, machine, Options())
+    search = _Search(overlapped_job, question, band, overlapped_plan)
+    spec_by_step = replace(spec, criteria=(*spec.criteria, *search.by_step()))
+    out_of_time = False
     for tried in range(1, _ROUNDS + 1):
         if progress is not None:
             progress("cycles over the band", (tried - 1) / _ROUNDS)
         chosen = search.next()
         candidate = search.job_of(chosen)
         plan = plan_job(candidate, machine, Options())
-        runs = over_band(plan, watched, machines)
+        runs = over_band(plan, spec_by_step, machines)
         in_spec = not search.learn(runs)
         proof = try_plan(plan, spec, question.trials if in_spec else NOMINAL)
         passed = in_spec and proof.verdict.passed
-        over = until is not None and until.over()
-        if passed or over:
+        out_of_time = until is not None and until.over()
+        if passed or out_of_time:
             break
         if in_spec:
             search.tighten()
     job = candidate if passed else None
     trials = iter(search.shorter(chosen)) if passed else iter(())
     shorter = next(trials, None)
-    while shorter is not None and not over:
+    while shorter is not None and not out_of_time:
         if progress is not None:
             progress("cycles over the band", tried / (_ROUNDS + _SHORTER))
         plan = plan_job(search.job_of(shorter), machine, Options())
-        better = plan.duration_s < proof.plan.duration_s - 1e-9
-        if better:
+        improves = plan.duration_s < proof.plan.duration_s - 1e-9
+        if improves:
             tried += 1
-            better = all(run.verdict.passed for run in over_band(plan, spec, machines))
-        if better:
-            other = try_plan(plan, spec, question.trials)
-            better = other.verdict.passed
-        if better:
-            job, proof, chosen = search.job_of(shorter), other, shorter
+            improves = all(run.verdict.passed for run in over_band(plan, spec, machines))
+        if improves:
+            shorter_proof = try_plan(plan, spec, question.trials)
+            improves = shorter_proof.verdict.passed
+        if improves:
+            job, proof, chosen = search.job_of(shorter), shorter_proof, shorter
             trials = iter(search.shorter(chosen))
-        over = tried >= _ROUNDS + _SHORTER or (until is not None and until.over())
+        out_of_time = tried >= _ROUNDS + _SHORTER or (until is not None and until.over())
         shorter = next(trials, None)
     return RobustCycle(
         job=job,
@@ -246,8 +246,8 @@ class _Search:
         self._scan_s = float(self._base.commands.clock.period_s)
         self._steps = tuple(e.name for e in self._base.commands.events if e.kind == "tool")
         axes = tuple(dict.fromkeys(move.axis for move in self._base.moves))
-        parts = np.linspace(-band, band, _FREQUENCIES)
-        family = [mode_off(machine, float(part)) for part in parts]
+        deviations = np.linspace(-band, band, _FREQUENCIES)
+        family = [mode_off(machine, float(deviation)) for deviation in deviations]
         ringing = {axis: [step_ringing(one, axis) for one in family] for axis in axes}
         self._turns = {
             a: np.exp(np.array([r.pole for r in rs]) * self._scan_s) for a, rs in ringing.items()
@@ -262,20 +262,20 @@ class _Search:
             machine.cylinders[m.axis].rest_s(m.forward) / self._scan_s for m in self._base.moves
         ]
         self._share = [_HOPED] * len(self._base.moves)
-        made: dict[tuple[object, ...], tuple[int, list[FlowCommand]]] = {}
+        commands_by_key: dict[tuple[object, ...], tuple[int, list[FlowCommand]]] = {}
         self._made: list[tuple[int, list[FlowCommand]]] = []
         for index, move in enumerate(self._base.moves):
             if progress is not None:
                 progress("commands for the band", index / len(self._base.moves))
             valves = valves_of(machine.cylinders[move.axis].way(move.forward), self._scan_s)
             key = move.axis, valves, move.levels.wanted_m, self._limit_m(index)
-            if key not in made:
-                made[key] = self._commands(index)
-            self._made.append(made[key])
+            if key not in commands_by_key:
+                commands_by_key[key] = self._commands(index)
+            self._made.append(commands_by_key[key])
 
     def _limit_m(self, index: int) -> float:
         move = self._base.moves[index]
-        own = [
+        limits_m = [
             c.limit
             for c in self._spec.criteria
             if c.name == MEASURE
@@ -283,13 +283,13 @@ class _Search:
             and c.axis in {"", move.axis}
             and c.step in {"", move.step}
         ]
-        if not own:
+        if not limits_m:
             raise OptionError(
                 f"the specification {self._spec.name!r} limits no {MEASURE} of {move.axis}, so "
                 "that nothing asks for a robust command",
                 remedy=f'Write a [[criteria]] with name = "{MEASURE}" and a limit into it.',
             )
-        return min(own)
+        return min(limits_m)
 
     def _flow_move(self, index: int, share: float) -> FlowMove:
         move = self._base.moves[index]
@@ -316,37 +316,41 @@ class _Search:
         move = self._base.moves[index]
         turn = complex(self._turns[move.axis][0])
         longest = move.levels.ticks[-1] + int(_LONGEST_PERIODS * 2.0 * np.pi / np.angle(turn))
-        longer = max(math.ceil(_LONGER_PERIODS * 2.0 * np.pi / np.angle(turn)), 3)
-        found: list[FlowCommand] = []
+        extra_scans = max(math.ceil(_LONGER_PERIODS * 2.0 * np.pi / np.angle(turn)), 3)
+        commands: list[FlowCommand] = []
         bound = least = None
         for share in _SHARES:
-            wanted = self._flow_move(index, share)
+            flow_move = self._flow_move(index, share)
             # A smaller share takes at least as long, so the search starts at the previous share's
             # scans.
-            least = least_scans(wanted, longest, 1 if least is None else least)
+            least = least_scans(flow_move, longest, 1 if least is None else least)
             bound = least if bound is None else bound
             if least is None:
                 break
-            if sum(wanted.quiet(command) for command in found) >= _SEEDS:
+            if sum(flow_move.quiet(command) for command in commands) >= _SEEDS:
                 continue
-            shortest = max([least, *(command.scans for command in found)])
-            command = shortest_flow_command(wanted, shortest, least + longer)
+            shortest = max([least, *(command.scans for command in commands)])
+            command = shortest_flow_command(flow_move, shortest, least + extra_scans)
             if command is None:
                 break
             # Commands that are equal in closed form differ on the twin, which has friction and an
             # air ramp.
-            others = (flow_command(wanted, command.scans, seed) for seed in range(1, _SEEDS))
-            found += dict.fromkeys([command, *(one for one in others if one is not None)])
-        if bound is None or not found:
+            seeded_commands = (
+                flow_command(flow_move, command.scans, seed) for seed in range(1, _SEEDS)
+            )
+            commands += dict.fromkeys(
+                [command, *(one for one in seeded_commands if one is not None)]
+            )
+        if bound is None or not commands:
             lines = self._base.lines_of(self._job, {move.operation})
             raise PlanError(
                 f"a search found no command of the valves of {move.axis} that rings at most "
                 f"{self._limit_m(index) * 1e3:g} mm all over the band and takes at most "
-                f"{((bound or longest) + longer) * self._scan_s:.3g} s; there may be one",
+                f"{((bound or longest) + extra_scans) * self._scan_s:.3g} s; there may be one",
                 place=Place(self._job.file, lines[move.operation]),
                 remedy="Ask for a narrower band, or allow more ringing.",
             )
-        return bound, found
+        return bound, commands
 
     def next(self) -> list[FlowCommand]:
         """Return the shortest command of each move with which the closed form keeps the limits."""
@@ -354,18 +358,18 @@ class _Search:
         chosen: dict[int, FlowCommand] = {}
         for _ in range(2):  # twice: an operation is as long as its longest move
             for axis in self._turns:
-                own = [i for i, move in enumerate(moves) if move.axis == axis]
-                chosen.update(zip(own, self._next_of(axis, own, chosen), strict=True))
+                axis_moves = [i for i, move in enumerate(moves) if move.axis == axis]
+                chosen.update(zip(axis_moves, self._next_of(axis, axis_moves, chosen), strict=True))
         return [chosen[i] for i in range(len(moves))]
 
     def _free(self, index: int, chosen: Mapping[int, FlowCommand]) -> float:
         """Return the scans that a move may take at no cost beside a longer simultaneous move."""
-        mine = self._base.moves[index]
+        this_move = self._base.moves[index]
         return max(
             (
                 chosen[i].scans + self._rests[i] - self._rests[index]
                 for i, move in enumerate(self._base.moves)
-                if move.operation == mine.operation and i != index and i in chosen
+                if move.operation == this_move.operation and i != index and i in chosen
             ),
             default=0.0,
         )
@@ -373,31 +377,36 @@ class _Search:
     def _next_of(
         self, axis: str, own: list[int], chosen: Mapping[int, FlowCommand]
     ) -> tuple[FlowCommand, ...]:
-        still = np.zeros(len(self._turns[axis]))
-        states: list[tuple[float, FloatArray, tuple[FlowCommand, ...]]] = [(0.0, still, ())]
-        last = 0
+        no_ringing = np.zeros(len(self._turns[axis]))
+        states: list[tuple[float, FloatArray, tuple[FlowCommand, ...]]] = [(0.0, no_ringing, ())]
+        last_tick = 0
         for index in own:
-            move, after = self._base.moves[index], []
-            may, free = self._flow_move(index, self._share[index]), self._free(index, chosen)
-            for cost, ringing, before in states:
+            move, next_states = self._base.moves[index], []
+            flow_move, free_scans = (
+                self._flow_move(index, self._share[index]),
+                self._free(index, chosen),
+            )
+            for cost, ringing, commands_before in states:
                 for command in self._made[index][1]:
-                    elapsed = move.first_tick - last + command.scans
+                    elapsed = move.first_tick - last_tick + command.scans
                     decayed = ringing * np.abs(self._turns[axis]) ** elapsed
-                    rings = decayed + np.abs(may.left(command.ticks, command.levels))
+                    ringing_after = decayed + np.abs(flow_move.left(command.ticks, command.levels))
                     # If no command keeps the limit, the command with the least excess is preferred.
-                    over = max(float((rings / may.most).max()) - 1.0, 0.0)
-                    takes = max(command.scans, free) + 1e3 * over
-                    after.append((cost + takes, rings, (*before, command)))
-            states = sorted(after, key=lambda s: (s[0], float(s[1].sum())))[:_BEAM]
-            last = move.last_tick
+                    excess = max(float((ringing_after / flow_move.most).max()) - 1.0, 0.0)
+                    added_cost = max(command.scans, free_scans) + 1e3 * excess
+                    next_states.append(
+                        (cost + added_cost, ringing_after, (*commands_before, command))
+                    )
+            states = sorted(next_states, key=lambda s: (s[0], float(s[1].sum())))[:_BEAM]
+            last_tick = move.last_tick
         return states[0][2]
 
     def shorter(self, chosen: Sequence[FlowCommand]) -> Iterator[list[FlowCommand]]:
         """Yield the commands, each time with one of them replaced by the next shorter one."""
-        for index, now in enumerate(chosen):
-            own = [one for one in self._made[index][1] if one.scans < now.scans]
-            longest = max((one.scans for one in own), default=0)
-            for one in own:
+        for index, current in enumerate(chosen):
+            shorter_commands = [one for one in self._made[index][1] if one.scans < current.scans]
+            longest = max((one.scans for one in shorter_commands), default=0)
+            for one in shorter_commands:
                 if one.scans == longest:
                     yield [*chosen[:index], one, *chosen[index + 1 :]]
 
@@ -432,13 +441,13 @@ class _Search:
         """Return the last move of a cylinder in a step or before it."""
         if step not in self._steps:
             return None
-        until = self._steps.index(step)
-        own = [
+        step_index = self._steps.index(step)
+        moves_before = [
             i
             for i, move in enumerate(self._base.moves)
-            if move.axis == axis and move.step in self._steps[: until + 1]
+            if move.axis == axis and move.step in self._steps[: step_index + 1]
         ]
-        return own[-1] if own else None
+        return moves_before[-1] if moves_before else None
 
     def tighten(self) -> None:
         """Lower the share of every move, because the band passed and a repeated run failed."""

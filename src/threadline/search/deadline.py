@@ -83,19 +83,19 @@ class Deadline:
         HaltError
             When the time is over.
         """
-        able = threading.current_thread() is threading.main_thread()
-        if not able or math.isinf(self.end_s) or not hasattr(signals, "setitimer"):
+        in_main_thread = threading.current_thread() is threading.main_thread()
+        if not in_main_thread or math.isinf(self.end_s) or not hasattr(signals, "setitimer"):
             with _from_machine_code():
                 yield
             return
-        before = signals.signal(signals.SIGALRM, self._halt)
+        previous_handler = signals.signal(signals.SIGALRM, self._halt)
         signals.setitimer(signals.ITIMER_REAL, max(self.end_s - time.monotonic(), 1e-3))
         try:
             with _from_machine_code():
                 yield
         finally:
             signals.setitimer(signals.ITIMER_REAL, 0.0)
-            signals.signal(signals.SIGALRM, before)
+            signals.signal(signals.SIGALRM, previous_handler)
 
     def _halt(self, *_: object) -> None:
         if not self.ended:

@@ -122,10 +122,10 @@ class DesignResult(Summarised):
 
     def _summary(self) -> Summary:
         names = list(self.space.names)
-        tried = [("as it is", self.as_built), *self.known.items()]
+        titled = [("as it is", self.as_built), *self.known.items()]
         if self.found is not None:
-            tried.append(("smallest change", self.found.candidate))
-        rows = [candidate_cells(title, names, one) for title, one in tried]
+            titled.append(("smallest change", self.found.candidate))
+        rows = [candidate_cells(title, names, candidate) for title, candidate in titled]
         header = ["machine", *names, "cost", "of the limit", "limited by"]
         title = f"{self.job.name} on {self.machine.name}: {self.sentence()}"
         return Summary(title, header, rows)
@@ -227,15 +227,25 @@ class Redesign:
             If the job cannot be planned for the original machine.
         """
         space, evaluator, wanted = self.space, self.evaluator, self.wanted
-        trials, tried = wanted.trials, pooled(searches)
+        trials, candidates = wanted.trials, pooled(searches)
         simulated = sum(one.simulated for one in searches)
-        before = evaluator.simulated
-        found, refused = proved(space, evaluator, tried, self.spec, trials, wanted.corners)
-        nearest = _nearest(space, tried)
-        centre = tried.points[nearest] if found is None else _point(space, found)
-        level = int(tried.level[nearest]) if found is None else _level(space, found.candidate)
-        front = pareto(space, tried, most_ratio(evaluator))
-        used = np.abs(tried.points[front[tried.ratio[front] <= 1.0], : space.parameters])
+        simulated_before = evaluator.simulated
+        proved_design, refused = proved(
+            space, evaluator, candidates, self.spec, trials, wanted.corners
+        )
+        nearest = _nearest(space, candidates)
+        centre = (
+            candidates.points[nearest] if proved_design is None else _point(space, proved_design)
+        )
+        level = (
+            int(candidates.level[nearest])
+            if proved_design is None
+            else _level(space, proved_design.candidate)
+        )
+        front = pareto(space, candidates, most_ratio(evaluator))
+        used_logs = np.abs(
+            candidates.points[front[candidates.ratio[front] <= 1.0], : space.parameters]
+        )
         report: Callable[[float], None] = lambda _: None  # noqa: E731
         if progress is not None:
             bar = progress
@@ -245,26 +255,26 @@ class Redesign:
             evaluator,
             centre,
             level,
-            np.median(used, axis=0) * space.weights if len(used) else space.weights,
+            np.median(used_logs, axis=0) * space.weights if len(used_logs) else space.weights,
             wanted.plotted,
             report,
         )
         known = {
-            name: _best_of(space, evaluator, tried, point)
+            name: _best_of(space, evaluator, candidates, point)
             for name, point in known_points(space).items()
         }
-        as_built = _best_of(space, evaluator, tried, np.zeros(space.parameters))
+        as_built = _best_of(space, evaluator, candidates, np.zeros(space.parameters))
         return DesignResult(
             machine=self.machine,
             job=self.read(self.machine),
             space=space,
-            found=found,
-            pareto=tuple(candidate_at(space, evaluator, tried, i) for i in front.tolist()),
+            found=proved_design,
+            pareto=tuple(candidate_at(space, evaluator, candidates, i) for i in front.tolist()),
             known=known,
             as_built=as_built,
             region=region,
-            nearest=candidate_at(space, evaluator, tried, nearest),
-            simulated=simulated + evaluator.simulated - before,
+            nearest=candidate_at(space, evaluator, candidates, nearest),
+            simulated=simulated + evaluator.simulated - simulated_before,
             level=trials.level,
             screened=evaluator.others.words,
             refused=refused,
@@ -327,23 +337,25 @@ def design(
 
 def _nearest(space: Space, tried: Tried) -> int:
     """Return the cheapest candidate in spec, else the candidate with the least ratio."""
-    good = cheapest_first(space, tried)
-    return int(good[0]) if len(good) else int(np.argmin(tried.ratio))
+    in_spec = cheapest_first(space, tried)
+    return int(in_spec[0]) if len(in_spec) else int(np.argmin(tried.ratio))
 
 
 def _best_of(space: Space, evaluator: Evaluator, tried: Tried, parameters: FloatArray) -> Candidate:
     """Return the best tried candidate with the given parameters, over all settings."""
     same = np.abs(tried.points[:, : space.parameters] - parameters).max(axis=1) < 1e-9
-    own = tried.taken(np.flatnonzero(same))
+    matching = tried.taken(np.flatnonzero(same))
     if evaluator.others.asked:
         # The first sample did not try further runs of expensive candidates that pass one run.
         points = with_settings(space, parameters, evaluator.effort.settings_log2)
         for level in range(len(space.levels)):
             levels = np.full(len(points), level, dtype=np.int64)
-            own = own.join(evaluator.tried(points, levels, beyond=-1.0))
-        best = np.argsort(own.nominal, kind="stable")[:_RETRIED]
-        own = evaluator.tried(own.points[best], own.level[best], beyond=np.inf)
-    return candidate_at(space, evaluator, own, int(np.argmin(own.ratio)))
+            matching = matching.join(evaluator.tried(points, levels, beyond=-1.0))
+        best_indices = np.argsort(matching.nominal, kind="stable")[:_RETRIED]
+        matching = evaluator.tried(
+            matching.points[best_indices], matching.level[best_indices], beyond=np.inf
+        )
+    return candidate_at(space, evaluator, matching, int(np.argmin(matching.ratio)))
 
 
 def _point(space: Space, found: ProvedDesign) -> FloatArray:
@@ -416,9 +428,9 @@ def quantity_text(old: Quantity, value: float) -> str:
     spread = "exact"
     if old.tolerance_si and old.si:
         spread = f"+- {100.0 * abs(old.tolerance_si / old.si):.6g} %"
-    written = f"{value!r} {old.unit}".strip()
-    before = f"{old.si:.6g} {old.unit}".strip()
-    return f"{written} {spread}, assumed: redesigned, from {before}"
+    new_text = f"{value!r} {old.unit}".strip()
+    old_text = f"{old.si:.6g} {old.unit}".strip()
+    return f"{new_text} {spread}, assumed: redesigned, from {old_text}"
 
 
 def _base(machine: Machine, folder: Path) -> str:
@@ -436,14 +448,14 @@ def spec_toml(spec: Spec, machine: Machine) -> str:
     for criterion in spec.criteria:
         if criterion.hard and (criterion.name, criterion.axis) in given:
             continue  # the machine's own limit is narrower, and needs no line in the file
-        kind = MEASURES[criterion.name]
+        measure = MEASURES[criterion.name]
         lines += ["", "[[criteria]]", f"name = {toml_string(criterion.name)}"]
         if criterion.axis:
             lines.append(f"axis = {toml_string(criterion.axis)}")
         if criterion.hard:
             lines.append('limit = "machine"')
         elif criterion.limit is not None:
-            unit = kind.unit("rotary" if criterion.axis in machine.rotary else "linear")
+            unit = measure.unit("rotary" if criterion.axis in machine.rotary else "linear")
             limit = f"{criterion.limit!r} {unit}"
             if not unit and criterion.limit > 1.0:  # a share above 100 % is read only with its unit
                 limit = f"{100.0 * criterion.limit!r} %"
@@ -451,5 +463,5 @@ def spec_toml(spec: Spec, machine: Machine) -> str:
         if criterion.required:
             lines.append("required = true")
         for key, value in criterion.options.items():
-            lines.append(f"{key} = {toml_string(f'{value!r} {kind.options[key].unit}'.strip())}")
+            lines.append(f"{key} = {toml_string(f'{value!r} {measure.options[key].unit}'.strip())}")
     return "\n".join(lines) + "\n"

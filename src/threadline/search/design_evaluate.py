@@ -62,7 +62,7 @@ def design_gains(
     """
     machine, count = space.machine, len(points)
     crossover_hz, margin_deg = np.exp(points[:, -2]), points[:, -1]
-    omega = 2.0 * np.pi * crossover_hz
+    omega_rad_s = 2.0 * np.pi * crossover_hz
     values = Values.of(machine, space.numbers(points))
     numbers: dict[str, FloatArray] = {}
     possible: NDArray[np.bool_] = np.ones(count, dtype=np.bool_)
@@ -77,20 +77,20 @@ def design_gains(
             )
         name = piece.group.controllers[0]
         controller = machine.controllers[name]
-        period = float(machine.clock(controller.clock).period_s)
-        response = sampled_response(piece, values, omega, period)
-        gain, zero = lead_from_response(response, omega, margin_deg, period)
+        period_s = float(machine.clock(controller.clock).period_s)
+        response = sampled_response(piece, values, omega_rad_s, period_s)
+        gain, zero = lead_from_response(response, omega_rad_s, margin_deg, period_s)
         # The phase is enough without lead: the zero goes as far out as the chip allows.
-        ample = ~(zero <= COEFFICIENT_HIGH) & (lead_deg(response, margin_deg) <= 0.0)
-        zero = np.where(ample | (zero < COEFFICIENT_LOW), COEFFICIENT_LOW, zero)
-        z = np.exp(1j * omega * period)
+        beyond_need = ~(zero <= COEFFICIENT_HIGH) & (lead_deg(response, margin_deg) <= 0.0)
+        zero = np.where(beyond_need | (zero < COEFFICIENT_LOW), COEFFICIENT_LOW, zero)
+        z = np.exp(1j * omega_rad_s * period_s)
         gain = np.abs(z + COEFFICIENT_LOW) / (np.abs(z - zero) * np.abs(response))
         possible &= (zero <= COEFFICIENT_HIGH) & np.isfinite(gain)
-        sound = np.where(possible, zero, COEFFICIENT_LOW)
+        usable_zero = np.where(possible, zero, COEFFICIENT_LOW)
         numbers[f"controllers.{name}.gain"] = np.where(
             possible, gain / controller.dac.volt_per_level, 0.0
         )
-        numbers[f"controllers.{name}.zero"] = sound
+        numbers[f"controllers.{name}.zero"] = usable_zero
         numbers[f"controllers.{name}.pole"] = np.full(count, COEFFICIENT_LOW)
     return numbers, possible
 
@@ -114,23 +114,25 @@ def sampled_response(
     rates = working_rates(piece.base, piece.elements)
     count = len(rates)
     drive = piece.group.drives[0]
-    delay = np.broadcast_to(
+    delay_s = np.broadcast_to(
         values.at(f"drives.{drive}.delay", machine.motors[drive].delay), (count,)
     )
-    whole = np.floor(delay / period_s + _ROUNDING)
-    part = np.maximum(delay - whole * period_s, 0.0)
+    whole_periods = np.floor(delay_s / period_s + _ROUNDING)
+    part_s = np.maximum(delay_s - whole_periods * period_s, 0.0)
     block = np.zeros((count, n + 1, n + 1))
     block[:, :n, :n] = rates[:, :, :n]
     block[:, :n, n] = rates[:, :, n] * piece.input_gain[:, :1]
-    late = _exponentials(block * part[:, None, None])
-    rest = _exponentials(block * (period_s - part)[:, None, None])
-    transition = rest[:, :n, :n] @ late[:, :n, :n]
-    older = (rest[:, :n, :n] @ late[:, :n, n:])[:, :, 0]
+    first_part = _exponentials(block * part_s[:, None, None])
+    second_part = _exponentials(block * (period_s - part_s)[:, None, None])
+    transition = second_part[:, :n, :n] @ first_part[:, :n, :n]
+    older_input = (second_part[:, :n, :n] @ first_part[:, :n, n:])[:, :, 0]
     z = np.exp(1j * omega_rad_s * period_s)
-    push = (rest[:, :n, n] + older / z[:, None]) * (z**-whole)[:, None]
-    state = np.linalg.solve(z[:, None, None] * np.eye(n) - transition, push[:, :, None])[:, :, 0]
-    index = piece.group.sensors.index(machine.controller_of(piece.group.axes[0]).sensor)
-    return np.asarray((piece.sensor_rows[:, index, :n] * state).sum(axis=1))
+    input_vector = (second_part[:, :n, n] + older_input / z[:, None]) * (z**-whole_periods)[:, None]
+    state = np.linalg.solve(z[:, None, None] * np.eye(n) - transition, input_vector[:, :, None])[
+        :, :, 0
+    ]
+    sensor_index = piece.group.sensors.index(machine.controller_of(piece.group.axes[0]).sensor)
+    return np.asarray((piece.sensor_rows[:, sensor_index, :n] * state).sum(axis=1))
 
 
 def _exponentials(matrices: FloatArray) -> FloatArray:
@@ -326,8 +328,8 @@ class Evaluator:
         joined = parts[0]
         for part in parts[1:]:
             joined = joined.join(part)
-        back = np.argsort(order, kind="stable")
-        return joined.taken(back)
+        original_order = np.argsort(order, kind="stable")
+        return joined.taken(original_order)
 
     def gains(self, points: FloatArray) -> tuple[dict[str, FloatArray], np.ndarray]:
         """Return the filters of candidates, and which candidates have one."""
@@ -350,51 +352,51 @@ class Evaluator:
     ) -> Tried:
         """Prove every candidate by itself."""
         items = []
-        for point, share in zip(points, level.tolist(), strict=True):
+        for point, level_index in zip(points, level.tolist(), strict=True):
             numbers = {k: float(v[0]) for k, v in self.space.numbers(point[None]).items()}
-            numbers |= self.space.slower(self.space.levels[share])
+            numbers |= self.space.slower(self.space.levels[level_index])
             items.append(SingleItem(numbers=numbers, beyond=beyond))
-        found = list(answers(proofs, items))
-        self.simulated += sum(one.simulated for one in found)
+        results = list(answers(proofs, items))
+        self.simulated += sum(one.simulated for one in results)
         return Tried(
             points=points,
             level=np.asarray(level, dtype=np.int64),
-            ratio=np.array([one.worst for one in found]),
-            nominal=np.array([one.first for one in found]),
+            ratio=np.array([one.worst for one in results]),
+            nominal=np.array([one.first for one in results]),
             delay=np.zeros(len(points), dtype=np.int64),
-            binding=tuple(one.binding for one in found),
+            binding=tuple(one.binding for one in results),
         )
 
     def _ahead(self, points: FloatArray, level: IntArray, beyond: float) -> Tried:
         """Plan every candidate through its own inverse, then judge the plan."""
         items = [(point, int(level[k]), beyond) for k, point in enumerate(points)]
-        found = list(answers(_Ahead(self), items))
-        self.simulated += sum(one.simulated for one in found)
+        results = list(answers(_Ahead(self), items))
+        self.simulated += sum(one.simulated for one in results)
         return Tried(
             points=points,
             level=np.asarray(level, dtype=np.int64),
-            ratio=np.array([one.worst for one in found]),
-            nominal=np.array([one.first for one in found]),
+            ratio=np.array([one.worst for one in results]),
+            nominal=np.array([one.first for one in results]),
             delay=np.zeros(len(points), dtype=np.int64),
-            binding=tuple(one.binding for one in found),
+            binding=tuple(one.binding for one in results),
         )
 
     def one_ahead(self, point: FloatArray, level: int, beyond: float) -> Used:
         """Return the used share of a (dims,) candidate's limits, with commands of its own."""
         numbers = {k: float(v[0]) for k, v in self.space.numbers(point[None]).items()}
-        slower = self.space.slower(self.space.share(point, level))
-        machine = with_numbers(self.space.machine, numbers | slower)
+        slower_limits = self.space.slower(self.space.share(point, level))
+        machine = with_numbers(self.space.machine, numbers | slower_limits)
         try:
             plan = plan_job(self.read(machine), machine, self.options_at(point))
             judge = design_judge(plan, machine, self._spec, self.space.delays_s)
         except (PlanError, MachineError):
             return Used(first=HOPELESS, worst=HOPELESS, binding=NO_COMMANDS, simulated=0)
-        own = {k: np.array([v]) for k, v in numbers.items()}
-        found, ratios, simulated = self._judged(judge, point[None], own, beyond)
+        arrays = {k: np.array([v]) for k, v in numbers.items()}
+        first_ratios, worst_ratios, simulated = self._judged(judge, point[None], arrays, beyond)
         return Used(
-            first=float(found.best()[0][0]),
-            worst=float(ratios.best()[0][0]),
-            binding=ratios.binding(0),
+            first=float(first_ratios.best()[0][0]),
+            worst=float(worst_ratios.best()[0][0]),
+            binding=worst_ratios.binding(0),
             simulated=simulated,
         )
 
@@ -405,15 +407,19 @@ class Evaluator:
         nominal = ratio.copy()
         delay = np.zeros(count, dtype=np.int64)
         binding = ["phase margin"] * count
-        at = np.flatnonzero(possible)
-        if len(at):
-            own = self.space.numbers(points[at]) | {k: v[at] for k, v in gains.items()}
-            found, ratios, simulated = self._judged(judge, points[at], own, beyond)
+        possible_indices = np.flatnonzero(possible)
+        if len(possible_indices):
+            numbers = self.space.numbers(points[possible_indices]) | {
+                k: v[possible_indices] for k, v in gains.items()
+            }
+            first_ratios, worst_ratios, simulated = self._judged(
+                judge, points[possible_indices], numbers, beyond
+            )
             self.simulated += simulated
-            nominal[at] = found.best()[0]
-            ratio[at], delay[at] = ratios.best()
-            for i, k in enumerate(at.tolist()):
-                binding[k] = ratios.binding(i)
+            nominal[possible_indices] = first_ratios.best()[0]
+            ratio[possible_indices], delay[possible_indices] = worst_ratios.best()
+            for i, k in enumerate(possible_indices.tolist()):
+                binding[k] = worst_ratios.binding(i)
         return Tried(
             points=points,
             level=np.full(count, level, dtype=np.int64),

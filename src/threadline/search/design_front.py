@@ -134,12 +134,12 @@ def marked(found: Sequence[CandidateYield]) -> tuple[CandidateYield, ...]:
     [(0, True), (1, False), (2, True)]
     """
     rows: list[CandidateYield] = []
-    best = -1
+    most_passed = -1
     for one in sorted(found, key=lambda one: (one.cost, -one.passed)):
         if any(known.passed == one.passed and _alike(known, one) for known in rows):
             continue
-        rows.append(replace(one, on_front=one.passed > best))
-        best = max(best, one.passed)
+        rows.append(replace(one, on_front=one.passed > most_passed))
+        most_passed = max(most_passed, one.passed)
     return tuple(rows)
 
 

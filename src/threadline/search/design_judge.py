@@ -82,16 +82,18 @@ class Ratios:
 
     def best(self) -> tuple[FloatArray, np.ndarray]:
         """Return (n,) the worst ratio at the best delay, and (n,) the index of the best delay."""
-        rest = self.others.max(axis=1, initial=0.0)
+        other_ratio = self.others.max(axis=1, initial=0.0)
         if self.length is None:
-            return rest, np.zeros(len(rest), dtype=np.int64)
-        at = self.length.argmin(axis=1)
-        return np.maximum(rest, self.length[np.arange(len(rest)), at]), at
+            return other_ratio, np.zeros(len(other_ratio), dtype=np.int64)
+        best_delay = self.length.argmin(axis=1)
+        return np.maximum(
+            other_ratio, self.length[np.arange(len(other_ratio)), best_delay]
+        ), best_delay
 
     def binding(self, index: int) -> str:
         """Return the criterion that uses the largest share of its limit in a candidate."""
-        rest = self.others[index].max(initial=0.0)
-        if self.length is not None and self.length[index].min() >= rest:
+        other_ratio = self.others[index].max(initial=0.0)
+        if self.length is not None and self.length[index].min() >= other_ratio:
             return _LENGTH
         return self.names[int(self.others[index].argmax())] if self.names else _LENGTH
 
@@ -134,29 +136,29 @@ class DesignJudge:
         phases
             (V, axes) place of each encoder between two counts; 0.5 when None.
         """
-        found = self.runs.judged(variants, phases)
-        by_delay = [row for row in found.rows if row.name == _LENGTH]
+        results = self.runs.judged(variants, phases)
+        by_delay = [row for row in results.rows if row.name == _LENGTH]
         length = [
             _share(row.values, criterion.limit)
             for row, criterion in zip(by_delay, self.length, strict=True)
         ]
         return Ratios(
             names=tuple(f"{c.name} {c.axis}".strip() for c in self.others),
-            others=np.array([_used(c, found) for c in self.others]).reshape(-1, found.runs).T,
+            others=np.array([_used(c, results) for c in self.others]).reshape(-1, results.runs).T,
             length=np.stack(length, axis=1) if length else None,
         )
 
 
-def _used(criterion: Criterion, found: EachRun) -> FloatArray:
+def _used(criterion: Criterion, results: EachRun) -> FloatArray:
     """Return (runs,) the largest used share of a criterion's limit over its axes.
 
     An axis that the job does not move uses no share.
     """
     shares = [
-        np.zeros(found.runs),
+        np.zeros(results.runs),
         *(
             _share(row.values, criterion.limit)
-            for row in found.rows
+            for row in results.rows
             if row.name == criterion.name and criterion.axis in ("", row.axis)
         ),
     ]
@@ -166,10 +168,10 @@ def _used(criterion: Criterion, found: EachRun) -> FloatArray:
 def _share(values: FloatArray, limit: float | None) -> FloatArray:
     """Return the values divided by a limit; 0 for a value that was not measured."""
     assert limit is not None
-    known = np.nan_to_num(values, nan=0.0, posinf=np.inf)
+    measured = np.nan_to_num(values, nan=0.0, posinf=np.inf)
     if limit <= 0.0:
-        return np.where(known <= 0.0, 0.0, HOPELESS)
-    return np.minimum(known / limit, HOPELESS)
+        return np.where(measured <= 0.0, 0.0, HOPELESS)
+    return np.minimum(measured / limit, HOPELESS)
 
 
 def design_judge(plan: Plan, machine: Machine, spec: Spec, delays_s: FloatArray) -> DesignJudge:
@@ -180,22 +182,23 @@ def design_judge(plan: Plan, machine: Machine, spec: Spec, delays_s: FloatArray)
     delays_s
         (D,) needle delays to try; empty for the specification's delay.
     """
-    kept = kept_in_memory(replace(plan, machine=machine))
-    criteria = tuple(c for c in spec.criteria if _is_asked(c, kept))
+    plan_in_memory = kept_in_memory(replace(plan, machine=machine))
+    criteria = tuple(c for c in spec.criteria if _is_asked(c, plan_in_memory))
     length = tuple(c for c in criteria if c.name == _LENGTH)
-    if not has_stitches(kept.job):
+    if not has_stitches(plan_in_memory.job):
         length = ()
     if length:
-        own = length[0]
+        length_criterion = length[0]
         if not len(delays_s):
-            delays_s = np.array([own.options.get("delay", 0.0)])
+            delays_s = np.array([length_criterion.options.get("delay", 0.0)])
         length = tuple(
-            replace(own, options={**own.options, "delay": delay_s}) for delay_s in delays_s.tolist()
+            replace(length_criterion, options={**length_criterion.options, "delay": delay_s})
+            for delay_s in delays_s.tolist()
         )
     others = tuple(c for c in criteria if c.name != _LENGTH)
     judged = replace(spec, criteria=(*others, *length))
     return DesignJudge(
-        runs=RunsJudge(kept, judged, settle_s=SETTLE_S),
+        runs=RunsJudge(plan_in_memory, judged, settle_s=SETTLE_S),
         others=others,
         length=length,
         delays_s=delays_s,
@@ -242,13 +245,13 @@ class OtherRuns:
         Machines within the tolerances of the whole file are left to the proof. Here the corners of
         the changeable parameters represent them.
         """
-        every = trials.machines > 0 and trials.wanted_yield is None
+        all_machines = trials.machines > 0 and trials.wanted_yield is None
         return cls(
             space=space,
             repeats=trials.repeats,
             # If machines are simulated one by one, the corners would take hours, so only the proof
             # judges them.
-            corners=(corners or every) and space.corner_count > 1 and not space.alone,
+            corners=(corners or all_machines) and space.corner_count > 1 and not space.alone,
         )
 
     @property
@@ -281,21 +284,26 @@ class OtherRuns:
         beyond
             Candidates with a larger ratio are not tried.
         """
-        simulated, found = 0, own
+        simulated, worst_ratios = 0, own
         for days in self._turns(len(judge.axes)):
-            near = np.flatnonzero(found.best()[0] <= beyond)
-            if not len(near):
+            undecided = np.flatnonzero(worst_ratios.best()[0] <= beyond)
+            if not len(undecided):
                 break
-            some = {k: v[near] for k, v in numbers.items()}
+            undecided_numbers = {k: v[undecided] for k, v in numbers.items()}
             phases: FloatArray | None = None
             if days is None:
-                count, variants = self.space.corner_count, self._off(points[near], some)
+                count, variants = (
+                    self.space.corner_count,
+                    self._off(points[undecided], undecided_numbers),
+                )
             else:
-                count, variants = len(days), on_days(self.space.machine, some, days)
-                phases = np.tile(days.phases, (len(near), 1))
-            simulated += len(near) * count
-            found = found.worse_at(near, judge.ratios(variants, phases).worst_of(count))
-        return found, simulated
+                count, variants = len(days), on_days(self.space.machine, undecided_numbers, days)
+                phases = np.tile(days.phases, (len(undecided), 1))
+            simulated += len(undecided) * count
+            worst_ratios = worst_ratios.worse_at(
+                undecided, judge.ratios(variants, phases).worst_of(count)
+            )
+        return worst_ratios, simulated
 
     def _turns(self, axes: int) -> Iterator[Days | None]:
         """Yield groups of runs that are tried together; None for the corners."""
@@ -308,17 +316,17 @@ class OtherRuns:
     def _off(self, points: FloatArray, numbers: _Numbers) -> dict[str, FloatArray]:
         """Return the numbers of every corner of candidates, candidate by candidate."""
         # All corners get the filters of the nominal machine, because the real machine is unknown.
-        same = {k: np.repeat(v, self.space.corner_count) for k, v in numbers.items()}
-        return same | self.space.numbers(self.space.corners(points))
+        repeated = {k: np.repeat(v, self.space.corner_count) for k, v in numbers.items()}
+        return repeated | self.space.numbers(self.space.corners(points))
 
 
 def _hardest_first(days: Days) -> Iterator[Days]:
     """Yield the runs beyond the first: extremes of friction and supply, then the others."""
     others: IntArray = np.arange(1, len(days))
     friction, supply = days.friction[others], days.supply[others]
-    ends = [friction.argmin(), friction.argmax(), supply.argmin(), supply.argmax()]
-    first = np.unique(others[ends])
-    yield days.taken(first)
-    rest = np.setdiff1d(others, first)
-    if len(rest):
-        yield days.taken(rest)
+    extremes = [friction.argmin(), friction.argmax(), supply.argmin(), supply.argmax()]
+    hardest = np.unique(others[extremes])
+    yield days.taken(hardest)
+    remaining = np.setdiff1d(others, hardest)
+    if len(remaining):
+        yield days.taken(remaining)

@@ -72,18 +72,20 @@ class DesignRecord:
             If they differ.
         """
         names = dict.fromkeys([*other.identity, *self.identity])
-        differ = [name for name in names if self.identity.get(name) != other.identity.get(name)]
+        differing = [name for name in names if self.identity.get(name) != other.identity.get(name)]
         counts = {
             "number of searches": (self.searches, other.searches),
             "number of parts": (self.part.count, other.part.count),
             "number of machines of --front": (self.front, other.front),
             "choice of --corners": (self.corners, other.corners),
         }
-        differ += [name for name, (one, two) in counts.items() if one != two]
-        if differ:
+        differing += [
+            name for name, (own_count, other_count) in counts.items() if own_count != other_count
+        ]
+        if differing:
             raise OptionError(
                 f"{str(path)!r} belongs to another redesign than {than}: another "
-                f"{', '.join(differ)}",
+                f"{', '.join(differing)}",
                 remedy="Give parts of one redesign, made and merged with the same versions and "
                 "files.",
             )
@@ -131,9 +133,9 @@ def _known(question: Redesign) -> str:
     space, evaluator = question.space, question.evaluator
     point = np.clip(np.zeros((1, len(space.low))), space.low, space.high)
     simulated = evaluator.simulated
-    found = evaluator.tried(point, np.zeros(1, dtype=np.int64), beyond=-1.0)
+    result = evaluator.tried(point, np.zeros(1, dtype=np.int64), beyond=-1.0)
     evaluator.simulated = simulated  # the machine of the file is not counted as a candidate
-    bits = found.ratio.tobytes() + found.nominal.tobytes() + "".join(found.binding).encode()
+    bits = result.ratio.tobytes() + result.nominal.tobytes() + "".join(result.binding).encode()
     return hashlib.sha256(bits).hexdigest()
 
 
@@ -190,7 +192,7 @@ def read_design_part(path: Path) -> DesignPart:
     """
     refuse_special(path)
     lines = Lines(path, "a part of a redesign", _AGAIN)
-    found: list[Search] = []
+    searches: list[Search] = []
     with path.open("rb") as file:
         record = _record(lines.content(file.readline(MOST_LINE), 1), lines)
         numbers, line = searches_of(record.part, record.searches), 1
@@ -198,13 +200,15 @@ def read_design_part(path: Path) -> DesignPart:
             line += 1
             if not text.endswith(b"\n"):
                 lines.refuse("its last line is cut short", line)
-            if len(found) == len(numbers):
+            if len(searches) == len(numbers):
                 lines.refuse("it has more searches than its part", line)
             content = lines.content(text, line)
-            found.append(_search(content, numbers[len(found)], record, lines, line))
-    if len(found) < len(numbers):
-        lines.refuse(f"it has {len(found)} of its {len(numbers)} searches: it is cut short", line)
-    return DesignPart(path=path, record=record, searches=tuple(found))
+            searches.append(_search(content, numbers[len(searches)], record, lines, line))
+    if len(searches) < len(numbers):
+        lines.refuse(
+            f"it has {len(searches)} of its {len(numbers)} searches: it is cut short", line
+        )
+    return DesignPart(path=path, record=record, searches=tuple(searches))
 
 
 def _record(content: Mapping[str, Any], lines: Lines) -> DesignRecord:
@@ -237,13 +241,13 @@ def _record(content: Mapping[str, Any], lines: Lines) -> DesignRecord:
     )
 
 
-def _content(one: Search) -> dict[str, Any]:
-    tried = one.tried
+def _content(search: Search) -> dict[str, Any]:
+    tried = search.tried
     names = sorted(set(tried.binding))
-    which = np.array([names.index(name) for name in tried.binding], dtype=np.int64)
+    binding_indices = np.array([names.index(name) for name in tried.binding], dtype=np.int64)
     return {
-        "search": one.number,
-        "simulated": one.simulated,
+        "search": search.number,
+        "simulated": search.simulated,
         "candidates": len(tried),
         "dims": tried.points.shape[1],
         "points": _text(tried.points),
@@ -252,15 +256,15 @@ def _content(one: Search) -> dict[str, Any]:
         "nominal": _text(tried.nominal),
         "delay": _text(tried.delay),
         "criteria": names,
-        "binding": _text(which),
+        "binding": _text(binding_indices),
         "yields": [
             {
-                "cost": each.cost,
-                "factors": dict(each.factors),
-                "passed": each.passed,
-                "machines": each.machines,
+                "cost": candidate_yield.cost,
+                "factors": dict(candidate_yield.factors),
+                "passed": candidate_yield.passed,
+                "machines": candidate_yield.machines,
             }
-            for each in one.yields
+            for candidate_yield in search.yields
         ],
     }
 
@@ -279,19 +283,19 @@ def _search(
         names = content["criteria"]
         if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
             raise ValueError("a criterion has no name")
-        which = _whole(content["binding"], count, len(names))
+        binding_indices = _whole(content["binding"], count, len(names))
         tried = Tried(
             points=_floats(content["points"], count * dims).reshape(count, dims),
             level=_whole(content["level"], count),
             ratio=_floats(content["ratio"], count),
             nominal=_floats(content["nominal"], count),
             delay=_whole(content["delay"], count),
-            binding=tuple(names[k] for k in which.tolist()),
+            binding=tuple(names[k] for k in binding_indices.tolist()),
         )
         yields = tuple(_yield(one, record.front) for one in content["yields"])
     except NOT_AS_WRITTEN as error:
-        why = f": {error}" if type(error) is ValueError else ""
-        lines.refuse(f"it was changed{why}", line)
+        reason = f": {error}" if type(error) is ValueError else ""
+        lines.refuse(f"it was changed{reason}", line)
     return Search(number=number, tried=tried, yields=yields, simulated=simulated)
 
 
@@ -323,9 +327,9 @@ def _floats(text: str, count: int) -> FloatArray:
     return values
 
 
-def _whole(text: str, count: int, most: int = 1 << 16) -> IntArray:
+def _whole(text: str, count: int, limit: int = 1 << 16) -> IntArray:
     values = np.frombuffer(_bytes(text, 8 * count), dtype="<i8").astype(np.int64)
-    if ((values < 0) | (values >= most)).any():
+    if ((values < 0) | (values >= limit)).any():
         raise ValueError("a number is out of range")
     return values
 

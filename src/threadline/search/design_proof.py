@@ -106,8 +106,10 @@ def cheapest_first(space: Space, tried: Tried) -> IntArray:
 
     Settings cost nothing: where settings alone are enough, many candidates cost the same.
     """
-    good = np.flatnonzero(tried.ratio <= 1.0)
-    return np.asarray(good[np.lexsort((tried.ratio[good], space.cost(tried.points[good])))])
+    in_spec = np.flatnonzero(tried.ratio <= 1.0)
+    return np.asarray(
+        in_spec[np.lexsort((tried.ratio[in_spec], space.cost(tried.points[in_spec])))]
+    )
 
 
 def candidate_at(space: Space, evaluator: Evaluator, tried: Tried, index: int) -> Candidate:
@@ -140,25 +142,27 @@ def proved(
         order = pareto(space, tried, 1.0 + 1e-9)
         # The tried candidates are spread evenly from the cheapest to the one with the largest
         # margin.
-        most = min(len(order), _MOST_PROOFS)
-        order = order[np.linspace(0, len(order) - 1, most).round().astype(int)]
+        proof_count = min(len(order), _MOST_PROOFS)
+        order = order[np.linspace(0, len(order) - 1, proof_count).round().astype(int)]
     for index in order[:_MOST_PROOFS]:
-        own = tried.points[index]
-        for point in (_rounded(space, own), own):
-            once = evaluator.tried(point[None], tried.level[index : index + 1])
-            if once.ratio[0] > 1.0:
+        exact_point = tried.points[index]
+        for point in (_rounded(space, exact_point), exact_point):
+            retried = evaluator.tried(point[None], tried.level[index : index + 1])
+            if retried.ratio[0] > 1.0:
                 continue
-            candidate = candidate_at(space, evaluator, once, 0)
+            candidate = candidate_at(space, evaluator, retried, 0)
             try:
-                found = _prove(space, evaluator, point, candidate, spec, trials, corners)
+                proved_design = _prove(space, evaluator, point, candidate, spec, trials, corners)
             except PlanError as error:
                 refused.append(error.message)
                 continue
-            if found.passed:
-                return found, tuple(refused)
-            of = found.verdict if found.corners is None else found.corners
-            failed = max(of.results, key=lambda r: r.severity)
-            refused.append(f"{failed.name} {failed.axis}".strip())
+            if proved_design.passed:
+                return proved_design, tuple(refused)
+            failed_verdict = (
+                proved_design.verdict if proved_design.corners is None else proved_design.corners
+            )
+            worst_result = max(failed_verdict.results, key=lambda r: r.severity)
+            refused.append(f"{worst_result.name} {worst_result.axis}".strip())
     return None, tuple(refused)
 
 
@@ -167,8 +171,8 @@ def _rounded(space: Space, point: FloatArray) -> FloatArray:
     rounded = point.copy()
     count = space.parameters
     settings = space.designs_gains or space.ahead
-    logs = [*range(count), *([count] if settings else [])]
-    for k in logs:
+    log_indices = [*range(count), *([count] if settings else [])]
+    for k in log_indices:
         rounded[k] = np.log(float(f"{np.exp(point[k]):.{_DIGITS}g}"))
     if settings:
         rounded[-1] = float(f"{point[-1]:.{_DIGITS}g}")
@@ -216,8 +220,8 @@ def _at_corners(space: Space, plan: Plan, built: Machine, spec: Spec, point: Flo
     """Judge one run of each machine at the corners of the parameter tolerances."""
     recordings = []
     for corner in space.corners(point[None]):
-        off = {k: float(v[0]) for k, v in space.numbers(corner[None]).items()}
-        machine = with_numbers(built, off)
+        corner_numbers = {k: float(v[0]) for k, v in space.numbers(corner[None]).items()}
+        machine = with_numbers(built, corner_numbers)
         kind_of(machine).check(machine)
         recordings.append(simulate(with_machine_hash(plan.commands, machine), machine))
     return Judge(plan, spec).verdict(recordings[:1], recordings[1:])

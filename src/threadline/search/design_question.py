@@ -113,7 +113,7 @@ def _widths_s(feed_forward: bool, text: str | None) -> tuple[float, ...]:
             )
         return ()
     parts = (_SEARCHED if text is None else text).split(",")
-    widths = tuple(dict.fromkeys(parse_width_s(part.strip()) for part in parts))
-    if len(widths) > _MOST_WIDTHS:
-        raise OptionError(f"{len(widths)} smoothing widths, at most {_MOST_WIDTHS}")
-    return widths
+    widths_s = tuple(dict.fromkeys(parse_width_s(part.strip()) for part in parts))
+    if len(widths_s) > _MOST_WIDTHS:
+        raise OptionError(f"{len(widths_s)} smoothing widths, at most {_MOST_WIDTHS}")
+    return widths_s

@@ -72,13 +72,13 @@ def region_of(
         for k in (first, second)
     ]
     slices = {}
-    for turn, base in enumerate((centre, _unchanged(space, centre))):
-        slices[turn] = _slice(
+    for slice_index, base in enumerate((centre, _unchanged(space, centre))):
+        slices[slice_index] = _slice(
             space, evaluator, base, level, (first, second), (lines[0], lines[1]),
-            lambda f, t=turn: report((t + f) / 2.0),  # type: ignore[misc]
+            lambda f, t=slice_index: report((t + f) / 2.0),  # type: ignore[misc]
         )  # fmt: skip
-        rest = np.delete(centre[: space.parameters], [first, second])
-        if not rest.any():
+        other_factors = np.delete(centre[: space.parameters], [first, second])
+        if not other_factors.any():
             slices[1] = slices[0]
             break
     return Region(
@@ -99,55 +99,55 @@ def _line(low: float, high: float, centre: float, side: int) -> FloatArray:
 
     The edge of the region lies near the design, so the grid is finer there.
     """
-    near = [centre, 0.5 * centre, 1.5 * centre, 0.0]
-    inside = [value for value in near if low <= value <= high]
-    return np.unique(np.round([*np.linspace(low, high, side), *inside], 12))
+    extra_values = [centre, 0.5 * centre, 1.5 * centre, 0.0]
+    values_in_range = [value for value in extra_values if low <= value <= high]
+    return np.unique(np.round([*np.linspace(low, high, side), *values_in_range], 12))
 
 
 def _important(space: Space, centre: FloatArray, usage: FloatArray) -> tuple[str, str] | None:
-    free = np.flatnonzero((space.high > space.low)[: space.parameters])
-    if len(free) < 2:
+    changeable = np.flatnonzero((space.high > space.low)[: space.parameters])
+    if len(changeable) < 2:
         return None
     cost = np.abs(centre[: space.parameters]) * space.weights
-    rank = sorted(free.tolist(), key=lambda k: (-cost[k], -usage[k]))
-    first, second = sorted(rank[:2])
+    ranked = sorted(changeable.tolist(), key=lambda k: (-cost[k], -usage[k]))
+    first, second = sorted(ranked[:2])
     return space.names[first], space.names[second]
 
 
 def _unchanged(space: Space, centre: FloatArray) -> FloatArray:
-    base = centre.copy()
-    base[: space.parameters] = 0.0
-    return base
+    unchanged = centre.copy()
+    unchanged[: space.parameters] = 0.0
+    return unchanged
 
 
 def _slice(
     space: Space,
     evaluator: Evaluator,
-    base: FloatArray,
+    fixed_point: FloatArray,
     level: int,
     pair: tuple[int, int],
-    lines: tuple[FloatArray, FloatArray],
+    axis_values: tuple[FloatArray, FloatArray],
     report: Callable[[float], None],
 ) -> FloatArray:
     """Return (m, m) the least ratio on a grid, ordinate first."""
-    across, up = np.meshgrid(*lines)
-    grid = np.repeat(base[None], across.size, axis=0)
-    grid[:, pair[0]], grid[:, pair[1]] = across.ravel(), up.ravel()
+    first_grid, second_grid = np.meshgrid(*axis_values)
+    grid = np.repeat(fixed_point[None], first_grid.size, axis=0)
+    grid[:, pair[0]], grid[:, pair[1]] = first_grid.ravel(), second_grid.ravel()
     tries = [grid]
     if space.designs_gains:
         tries = []
-        for factor, turn in product(_CROSSOVERS, _MARGINS):
-            other = grid.copy()
-            other[:, -2] += np.log(factor)
-            other[:, -1] += turn
-            tries.append(np.clip(other, space.low, space.high))
-    best = np.full(across.size, np.inf)
+        for factor, margin_shift in product(_CROSSOVERS, _MARGINS):
+            with_settings = grid.copy()
+            with_settings[:, -2] += np.log(factor)
+            with_settings[:, -1] += margin_shift
+            tries.append(np.clip(with_settings, space.low, space.high))
+    best = np.full(first_grid.size, np.inf)
     for k, points in enumerate(tries):
         # Judged without tolerances: their corners would take too long.
-        found = evaluator.tried(points, np.full(len(points), level), beyond=-1.0)
-        best = np.minimum(best, found.nominal)
+        candidates = evaluator.tried(points, np.full(len(points), level), beyond=-1.0)
+        best = np.minimum(best, candidates.nominal)
         report((k + 1) / len(tries))
-    return best.reshape(across.shape)
+    return best.reshape(first_grid.shape)
 
 
 SEED = 1994
@@ -178,21 +178,31 @@ def first_sample(space: Space, evaluator: Evaluator, report: Report, seed: int =
         for fixed in [np.zeros(space.parameters), *known_points(space).values()]:
             points.append(with_settings(space, fixed, effort.settings_log2, seed))
         levels += [level] * (sum(len(p) for p in points) - len(levels))
-    everything, of_level = np.concatenate(points), np.array(levels, dtype=np.int64)
-    found: Tried | None = None
-    step = max(len(everything) // 4, 1)
-    for at in range(0, len(everything), step):
-        part = evaluator.tried(everything[at : at + step], of_level[at : at + step], beyond=-1.0)
-        found = part if found is None else found.join(part)
-        report(0.7 * (at + len(part)) / len(everything))
-    assert found is not None
+    all_points, all_levels = np.concatenate(points), np.array(levels, dtype=np.int64)
+    candidates: Tried | None = None
+    batch_size = max(len(all_points) // 4, 1)
+    for start in range(0, len(all_points), batch_size):
+        batch = evaluator.tried(
+            all_points[start : start + batch_size],
+            all_levels[start : start + batch_size],
+            beyond=-1.0,
+        )
+        candidates = batch if candidates is None else candidates.join(batch)
+        report(0.7 * (start + len(batch)) / len(all_points))
+    assert candidates is not None
     if not evaluator.others.asked:
-        return found
+        return candidates
     # Only the cheapest candidates are tried in further runs; other candidates in spec are dropped.
-    good = np.flatnonzero(found.nominal <= 1.0)
-    cheap = good[np.argsort(space.cost(found.points[good]), kind="stable")][: effort.proposals]
-    out = found.taken(np.flatnonzero(found.nominal > 1.0))
-    return out.join(evaluator.tried(found.points[cheap], found.level[cheap])) if len(cheap) else out
+    in_spec = np.flatnonzero(candidates.nominal <= 1.0)
+    cheapest = in_spec[np.argsort(space.cost(candidates.points[in_spec]), kind="stable")][
+        : effort.proposals
+    ]
+    out_of_spec = candidates.taken(np.flatnonzero(candidates.nominal > 1.0))
+    return (
+        out_of_spec.join(evaluator.tried(candidates.points[cheapest], candidates.level[cheapest]))
+        if len(cheapest)
+        else out_of_spec
+    )
 
 
 def known_points(space: Space) -> dict[str, FloatArray]:
@@ -237,31 +247,43 @@ def least_change(
         Seed of the random moves.
     """
     random = np.random.default_rng(seed)
-    step, stale = _FIRST_STEP, 0
+    step, stale_rounds = _FIRST_STEP, 0
     effort = evaluator.effort
     rounds = effort.rounds if target == 1.0 else effort.trade_rounds
-    best = _least(space, tried, target)
-    for turn in range(rounds):
+    best_cost = _least(space, tried, target)
+    for round_index in range(rounds):
         elite = _elite(space, tried, target)
         on_edge = len(space.low) <= _FEW and _both_sides(tried, elite, target)
-        each = max(effort.proposals // 3, 1) if on_edge else effort.proposals
-        points, level = _proposals(space, tried, elite, step, random, each)
+        proposal_count = max(effort.proposals // 3, 1) if on_edge else effort.proposals
+        points, level = _proposals(space, tried, elite, step, random, proposal_count)
         if on_edge:
-            others, of_level = _along_edge(space, tried, elite, target, random, 2 * each)
-            points, level = np.concatenate([points, others]), np.concatenate([level, of_level])
+            edge_points, extra_levels = _along_edge(
+                space, tried, elite, target, random, 2 * proposal_count
+            )
+            points, level = (
+                np.concatenate([points, edge_points]),
+                np.concatenate([level, extra_levels]),
+            )
         if effort.modelled:
-            steps, of_level = cheapest_by_planes(space, tried, elite, step, target)
-            points, level = np.concatenate([points, steps]), np.concatenate([level, of_level])
-        if np.isfinite(best):
-            cheaper = space.cost(points) < best
+            plane_points, extra_levels = cheapest_by_planes(space, tried, elite, step, target)
+            points, level = (
+                np.concatenate([points, plane_points]),
+                np.concatenate([level, extra_levels]),
+            )
+        if np.isfinite(best_cost):
+            cheaper = space.cost(points) < best_cost
             points, level = points[cheaper], level[cheaper]
         if len(points):
             tried = tried.join(evaluator.tried(points, level))
-        now = _least(space, tried, target)
-        stale = stale + 1 if now > best * (1.0 - _ENOUGH) or not np.isfinite(now) else 0
-        best, step = now, step * _STEP_DECAY
-        report((turn + 1) / rounds)
-        if stale >= _PATIENCE or best == 0.0:
+        least_cost = _least(space, tried, target)
+        stale_rounds = (
+            stale_rounds + 1
+            if least_cost > best_cost * (1.0 - _ENOUGH) or not np.isfinite(least_cost)
+            else 0
+        )
+        best_cost, step = least_cost, step * _STEP_DECAY
+        report((round_index + 1) / rounds)
+        if stale_rounds >= _PATIENCE or best_cost == 0.0:
             break
     return tried
 
@@ -274,14 +296,14 @@ def _least(space: Space, tried: Tried, target: float) -> float:
 def _elite(space: Space, tried: Tried, target: float) -> IntArray:
     """Return the cheapest candidates that meet the target, and the nearest cheaper ones."""
     cost = space.cost(tried.points)
-    good = np.flatnonzero(tried.ratio <= target)
-    chosen = good[np.argsort(cost[good], kind="stable")][:_ELITE]
-    limit = cost[chosen[0]] if len(chosen) else np.inf
-    near = np.flatnonzero((tried.ratio > target) & (cost < limit))
-    near = near[np.argsort(tried.ratio[near], kind="stable")][
-        : _ELITE if len(chosen) else 3 * _ELITE
+    meeting = np.flatnonzero(tried.ratio <= target)
+    cheapest = meeting[np.argsort(cost[meeting], kind="stable")][:_ELITE]
+    least_cost = cost[cheapest[0]] if len(cheapest) else np.inf
+    cheaper_misses = np.flatnonzero((tried.ratio > target) & (cost < least_cost))
+    cheaper_misses = cheaper_misses[np.argsort(tried.ratio[cheaper_misses], kind="stable")][
+        : _ELITE if len(cheapest) else 3 * _ELITE
     ]
-    return np.concatenate([chosen, near]).astype(np.int64)
+    return np.concatenate([cheapest, cheaper_misses]).astype(np.int64)
 
 
 _FITTED = 4  # number of candidates per dimension for the fit of a plane
@@ -303,47 +325,50 @@ def cheapest_by_planes(
 
     count, dims = space.parameters, len(space.low)
     span = np.maximum(space.high - space.low, 1e-12)
-    known = np.flatnonzero(tried.ratio < _FAR * target)
+    usable = np.flatnonzero(tried.ratio < _FAR * target)
     points, levels = [], []
-    if len(known) <= dims:
+    if len(usable) <= dims:
         return np.empty((0, dims)), np.empty(0, dtype=np.int64)
-    scaled = tried.points[known] / span
+    scaled = tried.points[usable] / span
     for index in elite[:_MODELLED].tolist():
-        own = tried.points[index]
-        away = np.linalg.norm(scaled - own / span, axis=1)
-        near = known[np.argsort(away, kind="stable")[: _FITTED * dims]]
-        offset = (tried.points[near] - own) / span
-        rows = np.column_stack([np.ones(len(near)), offset])
+        centre = tried.points[index]
+        distances = np.linalg.norm(scaled - centre / span, axis=1)
+        neighbours = usable[np.argsort(distances, kind="stable")[: _FITTED * dims]]
+        offsets = (tried.points[neighbours] - centre) / span
+        regressors = np.column_stack([np.ones(len(neighbours)), offsets])
         plane = np.linalg.lstsq(
-            np.vstack([rows, 1e-3 * np.eye(dims + 1)[1:]]),
-            np.concatenate([tried.ratio[near], np.zeros(dims)]),
+            np.vstack([regressors, 1e-3 * np.eye(dims + 1)[1:]]),
+            np.concatenate([tried.ratio[neighbours], np.zeros(dims)]),
             rcond=None,
         )[0]
         # Unknowns: the point, then the magnitudes of its parameters.
         cost = np.concatenate([np.zeros(dims), space.weights])
         slope = plane[1:] / span
-        size = np.hstack([np.eye(count, dims), -np.eye(count)])
-        mirrored = np.hstack([-np.eye(count, dims), -np.eye(count)])
-        for without in (None, *np.flatnonzero(own[:count]).tolist()):
+        positive_rows = np.hstack([np.eye(count, dims), -np.eye(count)])
+        negative_rows = np.hstack([-np.eye(count, dims), -np.eye(count)])
+        for reset in (None, *np.flatnonzero(centre[:count]).tolist()):
             reach = step * span
-            low, high = np.maximum(own - reach, space.low), np.minimum(own + reach, space.high)
-            if without is not None:
-                low[without] = high[without] = 0.0
-            for room in _ROOM:
-                most = target * (1.0 - room) - plane[0] + float(slope @ own)
-                found = linprog(
+            low, high = (
+                np.maximum(centre - reach, space.low),
+                np.minimum(centre + reach, space.high),
+            )
+            if reset is not None:
+                low[reset] = high[reset] = 0.0
+            for margin in _ROOM:
+                bound = target * (1.0 - margin) - plane[0] + float(slope @ centre)
+                solution = linprog(
                     cost,
-                    np.vstack([np.append(slope, np.zeros(count)), size, mirrored]),
-                    np.concatenate([[most], np.zeros(2 * count)]),
+                    np.vstack([np.append(slope, np.zeros(count)), positive_rows, negative_rows]),
+                    np.concatenate([[bound], np.zeros(2 * count)]),
                     bounds=[*zip(low, high, strict=True), *[(0.0, None)] * count],
                 )
-                if found.x is not None and found.status == 0:
-                    points.append(np.clip(found.x[:dims], space.low, space.high))
+                if solution.x is not None and solution.status == 0:
+                    points.append(np.clip(solution.x[:dims], space.low, space.high))
                     levels.append(int(tried.level[index]))
     if not points:
         return np.empty((0, dims)), np.empty(0, dtype=np.int64)
-    every, first = np.unique(np.round(points, 6), axis=0, return_index=True)
-    return every, np.array(levels, dtype=np.int64)[first]
+    unique_points, first_indices = np.unique(np.round(points, 6), axis=0, return_index=True)
+    return unique_points, np.array(levels, dtype=np.int64)[first_indices]
 
 
 def _proposals(
@@ -352,7 +377,7 @@ def _proposals(
     elite: IntArray,
     step: float,
     random: np.random.Generator,
-    most: int,
+    proposal_count: int,
 ) -> tuple[FloatArray, IntArray]:
     """Return candidates about the elite: shrunk towards no change, and moved at random.
 
@@ -362,33 +387,37 @@ def _proposals(
     count, span = space.parameters, space.high - space.low
     points: list[FloatArray] = []
     levels: list[int] = []
-    each = max(most // max(len(elite), 1), 1)
+    per_elite = max(proposal_count // max(len(elite), 1), 1)
     for index in elite.tolist():
-        own, level = tried.points[index], int(tried.level[index])
-        moved = own + step * span * random.standard_normal((each, len(own)))
-        scale = random.choice(_SHRINK[1:], size=(each, 1))
-        shrunk = random.random((each, 1)) < 0.5
-        moved[:, :count] = np.where(shrunk, own[:count] * scale, moved[:, :count])
-        for k in np.flatnonzero(own[:count]).tolist():
-            alone = np.repeat(own[None], len(_SHRINK), axis=0)
-            alone[:, k] *= _SHRINK
+        elite_point, level = tried.points[index], int(tried.level[index])
+        proposals = elite_point + step * span * random.standard_normal(
+            (per_elite, len(elite_point))
+        )
+        scale = random.choice(_SHRINK[1:], size=(per_elite, 1))
+        shrunk = random.random((per_elite, 1)) < 0.5
+        proposals[:, :count] = np.where(shrunk, elite_point[:count] * scale, proposals[:, :count])
+        for k in np.flatnonzero(elite_point[:count]).tolist():
+            shrunk_one = np.repeat(elite_point[None], len(_SHRINK), axis=0)
+            shrunk_one[:, k] *= _SHRINK
             # If one number changes less, another may have to change more.
-            alone[:, count:] += (
+            shrunk_one[:, count:] += (
                 step * span[count:] * random.standard_normal((len(_SHRINK), len(span) - count))
             )
-            moved = np.concatenate([moved, alone])
-        zero = random.random((len(moved), count)) < 0.12
-        moved[:, :count] = np.where(zero, 0.0, moved[:, :count])
-        still = random.random((len(moved), 1)) < 0.3
-        moved = np.where(still & (np.arange(len(own)) >= count), own, moved)
-        points.append(np.clip(moved, space.low, space.high))
-        other = random.integers(0, len(space.levels), len(moved))
-        levels += np.where(random.random(len(moved)) < 0.2, other, level).tolist()
-    every, of_level = np.concatenate(points), np.array(levels, dtype=np.int64)
-    if len(every) > 2 * most:
-        chosen = np.sort(random.choice(len(every), 2 * most, replace=False))
-        every, of_level = every[chosen], of_level[chosen]
-    return every, of_level
+            proposals = np.concatenate([proposals, shrunk_one])
+        set_to_zero = random.random((len(proposals), count)) < 0.12
+        proposals[:, :count] = np.where(set_to_zero, 0.0, proposals[:, :count])
+        keep_settings = random.random((len(proposals), 1)) < 0.3
+        proposals = np.where(
+            keep_settings & (np.arange(len(elite_point)) >= count), elite_point, proposals
+        )
+        points.append(np.clip(proposals, space.low, space.high))
+        random_levels = random.integers(0, len(space.levels), len(proposals))
+        levels += np.where(random.random(len(proposals)) < 0.2, random_levels, level).tolist()
+    all_points, all_levels = np.concatenate(points), np.array(levels, dtype=np.int64)
+    if len(all_points) > 2 * proposal_count:
+        chosen = np.sort(random.choice(len(all_points), 2 * proposal_count, replace=False))
+        all_points, all_levels = all_points[chosen], all_levels[chosen]
+    return all_points, all_levels
 
 
 _FEW = 3  # largest number of parameters: with more, moves along the edge find dearer designs
@@ -417,20 +446,20 @@ def _along_edge(
     trade one number for another, as in differential evolution (Storn and Price, "Differential
     evolution", J. of Global Optimization 11, 1997).
     """
-    met = tried.ratio[elite] <= target
-    inside = random.choice(elite[met], most)
-    outside = random.choice(elite[~met], most)
-    goal = target * (1.0 - random.choice(_WITHIN, most))
+    meets = tried.ratio[elite] <= target
+    inside = random.choice(elite[meets], most)
+    outside = random.choice(elite[~meets], most)
+    goal_ratio = target * (1.0 - random.choice(_WITHIN, most))
     rise = np.maximum(tried.ratio[outside] - tried.ratio[inside], 1e-9)
-    share = np.clip((goal - tried.ratio[inside]) / rise, 0.02, 0.98)[:, None]
+    share = np.clip((goal_ratio - tried.ratio[inside]) / rise, 0.02, 0.98)[:, None]
     crossing = (1.0 - share) * tried.points[inside] + share * tried.points[outside]
-    own, one, other = random.integers(0, len(elite), (3, most))
+    base, first, second = random.integers(0, len(elite), (3, most))
     points = tried.points[elite]
-    moved = points[own] + random.uniform(0.3, 1.0, (most, 1)) * (points[one] - points[other])
-    still = (points[own] == 0.0) & (random.random(moved.shape) < 0.5)
-    moved = np.clip(np.where(still, 0.0, moved), space.low, space.high)
-    levels = np.concatenate([tried.level[inside], tried.level[elite][own]])
-    return np.concatenate([crossing, moved]), levels
+    along = points[base] + random.uniform(0.3, 1.0, (most, 1)) * (points[first] - points[second])
+    stays_zero = (points[base] == 0.0) & (random.random(along.shape) < 0.5)
+    along = np.clip(np.where(stays_zero, 0.0, along), space.low, space.high)
+    levels = np.concatenate([tried.level[inside], tried.level[elite][base]])
+    return np.concatenate([crossing, along]), levels
 
 
 def pareto(space: Space, tried: Tried, most: float, apart: float = 0.05) -> IntArray:
@@ -445,9 +474,9 @@ def pareto(space: Space, tried: Tried, most: float, apart: float = 0.05) -> IntA
     """
     cost = space.cost(tried.points)
     order = np.lexsort((tried.ratio, cost))
-    kept, best = [], most
+    front, best_ratio = [], most
     for index in order.tolist():
-        if np.ceil(tried.ratio[index] / apart) < np.ceil(best / apart):
-            kept.append(index)
-            best = tried.ratio[index]
-    return np.array(kept, dtype=np.int64)
+        if np.ceil(tried.ratio[index] / apart) < np.ceil(best_ratio / apart):
+            front.append(index)
+            best_ratio = tried.ratio[index]
+    return np.array(front, dtype=np.int64)

@@ -67,31 +67,31 @@ class Searching:
 
     def made(self, numbers: Sequence[int], progress: Progress | None = None) -> list[Search]:
         """Return the searches with these numbers."""
-        found = []
-        for turn, number in enumerate(numbers):
-            low, high = turn / len(numbers), (turn + 1) / len(numbers)
-            found.append(self._one(number, within_progress(progress, low, high)))
-        return found
+        searches = []
+        for search_index, number in enumerate(numbers):
+            low, high = search_index / len(numbers), (search_index + 1) / len(numbers)
+            searches.append(self._one(number, within_progress(progress, low, high)))
+        return searches
 
     def _one(self, number: int, progress: Progress | None) -> Search:
         space, evaluator, seed = self.space, self.evaluator, SEED + _APART * number
-        before, most = evaluator.simulated, 0.85 if self.front else 1.0
+        simulated_before, search_share = evaluator.simulated, 0.85 if self.front else 1.0
 
         def report(what: str, low: float, high: float) -> Callable[[float], None]:
-            def at(fraction: float) -> None:
+            def report_fraction(fraction: float) -> None:
                 if progress is not None:
-                    progress(what, most * (low + (high - low) * fraction))
+                    progress(what, search_share * (low + (high - low) * fraction))
 
-            return at
+            return report_fraction
 
         tried = first_sample(space, evaluator, report("sampling", 0.0, 0.33), seed)
         tried = least_change(space, evaluator, tried, report("narrowing", 0.33, 0.73), seed=seed)
-        for turn, target in enumerate(TARGETS):
-            at, step = 0.73 + 0.27 * turn / len(TARGETS), 0.27 / len(TARGETS)
-            step_report = report("trading cost for margin", at, at + step)
+        for target_index, target in enumerate(TARGETS):
+            begin, step = 0.73 + 0.27 * target_index / len(TARGETS), 0.27 / len(TARGETS)
+            step_report = report("trading cost for margin", begin, begin + step)
             tried = least_change(space, evaluator, tried, step_report, target=target, seed=seed)
-        simulated = evaluator.simulated - before
-        step_report = report("drawing machines of each candidate", 1.0, 1.0 / most)
+        simulated = evaluator.simulated - simulated_before
+        step_report = report("drawing machines of each candidate", 1.0, 1.0 / search_share)
         yields = self._yields(tried, step_report) if self.front else ()
         return Search(number=number, tried=tried, yields=yields, simulated=simulated)
 
@@ -101,22 +101,22 @@ class Searching:
         """Return the yields of candidates that trade cost for margin, and of the machine as is."""
         space, evaluator = self.space, self.evaluator
         front = pareto(space, tried, most_ratio(evaluator))
-        same = np.abs(tried.points[:, : space.parameters]).max(axis=1) < 1e-9
-        as_built = np.flatnonzero(same)
+        unchanged = np.abs(tried.points[:, : space.parameters]).max(axis=1) < 1e-9
+        as_built = np.flatnonzero(unchanged)
         best = as_built[np.argsort(tried.ratio[as_built], kind="stable")][:1]
-        most = max(MOST_TRIED // self.searches, _LEAST_TRIED)
-        some = front[spread(len(front), most)] if len(front) else front
-        chosen = np.unique(np.concatenate([best, some]))
-        found = []
-        for turn, index in enumerate(chosen.tolist()):
+        candidate_count = max(MOST_TRIED // self.searches, _LEAST_TRIED)
+        spread_front = front[spread(len(front), candidate_count)] if len(front) else front
+        chosen = np.unique(np.concatenate([best, spread_front]))
+        yields = []
+        for candidate_index, index in enumerate(chosen.tolist()):
             candidate = candidate_at(space, evaluator, tried, index)
             delayed = with_delay(self.spec, candidate.delay_s)
-            share = candidate.acceleration
-            found.append(
-                yield_of(space, evaluator, tried.points[index], share, delayed, self.front)
+            acceleration = candidate.acceleration
+            yields.append(
+                yield_of(space, evaluator, tried.points[index], acceleration, delayed, self.front)
             )
-            step_report((turn + 1) / len(chosen))
-        return tuple(one for one in found if one is not None)
+            step_report((candidate_index + 1) / len(chosen))
+        return tuple(one for one in yields if one is not None)
 
 
 def most_ratio(evaluator: Evaluator) -> float:
@@ -129,10 +129,10 @@ def most_ratio(evaluator: Evaluator) -> float:
 
 def pooled(searches: Sequence[Search]) -> Tried:
     """Return the candidates of all searches, in their order."""
-    found = searches[0].tried
-    for one in searches[1:]:
-        found = found.join(one.tried)
-    return found
+    candidates = searches[0].tried
+    for search in searches[1:]:
+        candidates = candidates.join(search.tried)
+    return candidates
 
 
 def within_progress(progress: Progress | None, low: float, high: float) -> Progress | None:

@@ -168,6 +168,6 @@ def share_used(verdict: Verdict) -> tuple[float, str]:
     binding = max(shares, key=lambda name: shares[name], default="")
     share = shares.get(binding, 0.0)
     if not verdict.passed and share <= 1.0:
-        lacking = [r.name for r in verdict.results if r.required and r.measured is None]
-        return HOPELESS, next(iter(lacking), binding)
+        not_measured = [r.name for r in verdict.results if r.required and r.measured is None]
+        return HOPELESS, next(iter(not_measured), binding)
     return share, binding

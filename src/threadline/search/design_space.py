@@ -117,13 +117,13 @@ class Space:
 
     def corners(self, points: FloatArray) -> FloatArray:
         """Return (n * C, dims) the tolerance corners of (n, dims) points, point by point."""
-        loose = np.flatnonzero(self.tolerance > 0)
-        if not len(loose):
+        toleranced = np.flatnonzero(self.tolerance > 0)
+        if not len(toleranced):
             return points
-        signs = np.array(list(product((-1.0, 1.0), repeat=len(loose))))
-        off = np.zeros((len(signs), points.shape[1]))
-        off[:, loose] = np.log1p(signs * self.tolerance[loose])
-        return np.asarray((points[:, None, :] + off[None]).reshape(-1, points.shape[1]))
+        signs = np.array(list(product((-1.0, 1.0), repeat=len(toleranced))))
+        offsets = np.zeros((len(signs), points.shape[1]))
+        offsets[:, toleranced] = np.log1p(signs * self.tolerance[toleranced])
+        return np.asarray((points[:, None, :] + offsets[None]).reshape(-1, points.shape[1]))
 
     @property
     def corner_count(self) -> int:
@@ -155,24 +155,24 @@ def design_space(machine: Machine, smoothing_s: tuple[float, ...] = ()) -> Space
     design = machine.design
     low, high = [], []
     for name, parameter in design.parameters.items():
-        first, last = _bounds(machine, name, parameter)
-        low.append(np.log(first))
-        high.append(np.log(last))
+        least, largest = _bounds(machine, name, parameter)
+        low.append(np.log(least))
+        high.append(np.log(largest))
     ahead = bool(smoothing_s)
     _check_settings(machine, design)
     shares = _levels(design)
     if ahead:
-        low_set = [float(np.log(min(smoothing_s))), min(shares)]
-        high_set = [float(np.log(max(smoothing_s))), max(shares)]
+        low_settings = [float(np.log(min(smoothing_s))), min(shares)]
+        high_settings = [float(np.log(max(smoothing_s))), max(shares)]
     else:
-        low_set, high_set = _gain_bounds(machine, design)
+        low_settings, high_settings = _gain_bounds(machine, design)
     return Space(
         machine=machine,
         names=tuple(design.parameters),
         weights=np.array([p.weight for p in design.parameters.values()]),
         paths=tuple(p.of for p in design.parameters.values()),
-        low=np.array([*low, *low_set]),
-        high=np.array([*high, *high_set]),
+        low=np.array([*low, *low_settings]),
+        high=np.array([*high, *high_settings]),
         tolerance=np.array([p.spread for p in design.parameters.values()]),
         levels=(1.0,) if ahead else shares,
         delays_s=np.zeros(1) if ahead else _delays(design),
@@ -184,43 +184,47 @@ def design_space(machine: Machine, smoothing_s: tuple[float, ...] = ()) -> Space
 
 def _bounds(machine: Machine, name: str, parameter: DesignParameter) -> tuple[float, float]:
     """Return the least and the largest factor of a parameter."""
-    where = f"design.parameters.{name}"
-    place = place_in(machine, f"{where}.of")
+    label = f"design.parameters.{name}"
+    place = place_in(machine, f"{label}.of")
     try:
         numbers = [number_at(machine, path) for path in parameter.of]
     except OptionError as error:
         raise MachineError(
-            f"{where}: {error.message}", place=place, remedy="Correct of, or take it out."
+            f"{label}: {error.message}", place=place, remedy="Correct of, or take it out."
         ) from error
     whole = [path for path in parameter.of if is_whole(machine, path)]
     if whole:
         raise MachineError(
-            f"{where}: {whole[0]} takes whole numbers alone, and a factor would not keep it whole",
+            f"{label}: {whole[0]} takes whole numbers alone, and a factor would not keep it whole",
             place=place,
             remedy="Take it out; make a machine file for each of its values instead.",
         )
     if any(q.si == 0.0 for q in numbers):
-        raise MachineError(f"{where}: a number that is 0 has no factor", place=place)
+        raise MachineError(f"{label}: a number that is 0 has no factor", place=place)
     if parameter.factor is not None:
         return parameter.factor
     assert parameter.range is not None
-    place = place_in(machine, f"{where}.range")
-    own = numbers[0]
-    if any(abs(q.si / own.si - 1.0) > _SAME or q.unit != own.unit for q in numbers):
+    place = place_in(machine, f"{label}.range")
+    first_number = numbers[0]
+    if any(
+        abs(q.si / first_number.si - 1.0) > _SAME or q.unit != first_number.unit for q in numbers
+    ):
         raise MachineError(
-            f"{where}: range is for numbers that are equal",
+            f"{label}: range is for numbers that are equal",
             place=place,
             remedy="Give factor = [low, high] instead.",
         )
     try:
-        first, last = (parse_quantity(text, own.unit) / own.si for text in parameter.range)
-    except ValueError as error:
-        raise MachineError(f"{where}.range: {error}", place=place) from error
-    if not 0.0 < first <= last:
-        raise MachineError(
-            f"{where}.range runs from {parameter.range[0]} to {parameter.range[1]}", place=place
+        least, largest = (
+            parse_quantity(text, first_number.unit) / first_number.si for text in parameter.range
         )
-    return first, last
+    except ValueError as error:
+        raise MachineError(f"{label}.range: {error}", place=place) from error
+    if not 0.0 < least <= largest:
+        raise MachineError(
+            f"{label}.range runs from {parameter.range[0]} to {parameter.range[1]}", place=place
+        )
+    return least, largest
 
 
 def _check_settings(machine: Machine, design: Design) -> None:

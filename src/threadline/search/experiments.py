@@ -140,30 +140,34 @@ def stepped_sine(
             "than its controller",
             remedy="Remove reference_clock for this experiment.",
         )
-    tick = float(machine.tick_clock.period_s)
+    tick_s = float(machine.tick_clock.period_s)
     highest = float(np.max(frequency_hz))
-    if highest > 0.25 / tick:
-        raise OptionError(f"{highest:g} Hz is above a quarter of the tick rate, {0.25 / tick:g} Hz")
-    spans, parts = [], []
-    at = 0
+    if highest > 0.25 / tick_s:
+        raise OptionError(
+            f"{highest:g} Hz is above a quarter of the tick rate, {0.25 / tick_s:g} Hz"
+        )
+    spans, sines = [], []
+    begin = 0
     for hertz in frequency_hz:
-        count = int(np.ceil(max(_PERIODS / hertz, _SHORTEST_S) / tick))
-        spans.append((at, at + count))
-        parts.append(amplitude_counts * np.sin(2 * np.pi * hertz * tick * np.arange(count)))
-        at += count
-    recording = _simulate(machine, index, np.rint(np.concatenate(parts)).astype(np.int64))
+        count = int(np.ceil(max(_PERIODS / hertz, _SHORTEST_S) / tick_s))
+        spans.append((begin, begin + count))
+        sines.append(amplitude_counts * np.sin(2 * np.pi * hertz * tick_s * np.arange(count)))
+        begin += count
+    recording = _simulate(machine, index, np.rint(np.concatenate(sines)).astype(np.int64))
     (_, volts), (_, measured) = _channels(recording, axis, "voltage", "measured")
-    answers = []
+    responses = []
     for hertz, (first, last) in zip(frequency_hz, spans, strict=True):
-        kept = slice(first + int(_SETTLE_SHARE * (last - first)), last)
-        omega = 2 * np.pi * float(hertz)
-        moved = _phasor(measured[kept], omega * tick)
+        steady = slice(first + int(_SETTLE_SHARE * (last - first)), last)
+        omega_rad_s = 2 * np.pi * float(hertz)
+        motion_phasor = _phasor(measured[steady], omega_rad_s * tick_s)
         # A sample is the value held over the previous tick: its centre is half a tick earlier.
-        held = _phasor(volts[kept], omega * tick) * np.exp(0.5j * omega * tick)
-        held *= np.sinc(0.5 * omega * tick / np.pi)
-        answers.append(1j * omega * moved / held)
+        volts_phasor = _phasor(volts[steady], omega_rad_s * tick_s) * np.exp(
+            0.5j * omega_rad_s * tick_s
+        )
+        volts_phasor *= np.sinc(0.5 * omega_rad_s * tick_s / np.pi)
+        responses.append(1j * omega_rad_s * motion_phasor / volts_phasor)
     return Sweep(
-        frequency_hz=np.asarray(frequency_hz, dtype=np.float64), response=np.array(answers)
+        frequency_hz=np.asarray(frequency_hz, dtype=np.float64), response=np.array(responses)
     )
 
 
@@ -176,19 +180,21 @@ def identify(sweep: Sweep) -> Identified:
     from scipy.optimize import least_squares
 
     omega = 2 * np.pi * sweep.frequency_hz
-    size = np.abs(sweep.response)
+    magnitude = np.abs(sweep.response)
 
     def model(p: FloatArray) -> ComplexArray:
         gain, natural, damping = np.exp(p)
         shape = natural**2 / (natural**2 - omega**2 + 2j * damping * natural * omega)
         return np.asarray(gain * shape)
 
-    start = np.log([size[0], omega[int(np.argmin(np.abs(size - 0.7 * size[0])))], 0.7])
+    start = np.log(
+        [magnitude[0], omega[int(np.argmin(np.abs(magnitude - 0.7 * magnitude[0])))], 0.7]
+    )
 
-    def miss(p: FloatArray) -> FloatArray:
-        return np.asarray(np.log(np.abs(model(p)) / size))
+    def log_errors(p: FloatArray) -> FloatArray:
+        return np.asarray(np.log(np.abs(model(p)) / magnitude))
 
-    fit = least_squares(miss, start, method="lm")
+    fit = least_squares(log_errors, start, method="lm")
     gain, natural, damping = (float(v) for v in np.exp(fit.x))
     delay = dead_time_s(sweep, model(fit.x))
     return Identified(gain=gain, natural_rad_s=natural, damping=damping, delay_s=delay)
@@ -197,9 +203,9 @@ def identify(sweep: Sweep) -> Identified:
 def dead_time_s(sweep: Sweep, without: ComplexArray) -> float:
     """Return the dead time of a sweep, s, from the (k,) response ``without`` dead time."""
     omega = 2 * np.pi * sweep.frequency_hz
-    left = np.unwrap(np.angle(sweep.response / without))
-    left -= 2 * np.pi * np.round(left[0] / (2 * np.pi))
-    return -float(omega @ left) / float(omega @ omega)
+    phase_left_rad = np.unwrap(np.angle(sweep.response / without))
+    phase_left_rad -= 2 * np.pi * np.round(phase_left_rad[0] / (2 * np.pi))
+    return -float(omega @ phase_left_rad) / float(omega @ omega)
 
 
 def constant_speed_gain(machine: Machine, axis: str, speed_si: float, run_s: float = 0.6) -> float:
@@ -213,15 +219,15 @@ def constant_speed_gain(machine: Machine, axis: str, speed_si: float, run_s: flo
     index = _axis(machine, axis)
     if speed_si == 0:
         raise OptionError("a gain needs a speed other than 0")
-    tick = float(machine.tick_clock.period_s)
-    counts = speed_si * machine.axes[axis].counts.si * tick
-    ticks = int(np.ceil(run_s / tick))
-    position = np.rint(counts * np.arange(1, ticks + 1)).astype(np.int64)
+    tick_s = float(machine.tick_clock.period_s)
+    counts_per_tick = speed_si * machine.axes[axis].counts.si * tick_s
+    ticks = int(np.ceil(run_s / tick_s))
+    position = np.rint(counts_per_tick * np.arange(1, ticks + 1)).astype(np.int64)
     recording = _simulate(machine, index, position)
     (_, volts), (times, measured) = _channels(recording, axis, "voltage", "measured")
-    kept = slice(ticks // 2, ticks)
-    speed = float(np.polyfit(times[kept], measured[kept], 1)[0])
-    return speed / float(np.mean(volts[kept]))
+    steady = slice(ticks // 2, ticks)
+    speed = float(np.polyfit(times[steady], measured[steady], 1)[0])
+    return speed / float(np.mean(volts[steady]))
 
 
 def position_step(machine: Machine, axis: str, size_si: float, run_s: float = 0.8) -> StepRun:
@@ -230,8 +236,8 @@ def position_step(machine: Machine, axis: str, size_si: float, run_s: float = 0.
     counts = round(size_si * machine.axes[axis].counts.si)
     if counts == 0:
         raise OptionError(f"a step of {size_si:g} is less than a count")
-    tick = float(machine.tick_clock.period_s)
-    position = np.full(int(np.ceil(run_s / tick)), counts, dtype=np.int64)
+    tick_s = float(machine.tick_clock.period_s)
+    position = np.full(int(np.ceil(run_s / tick_s)), counts, dtype=np.int64)
     recording = _simulate(machine, index, position)
     (times, measured), (_, load), (_, current) = _channels(
         recording, axis, "measured", "load", "current_peak"
@@ -240,13 +246,13 @@ def position_step(machine: Machine, axis: str, size_si: float, run_s: float = 0.
     peak = float(np.abs(current).max())
     size = counts / machine.axes[axis].counts.si
     share = measured / size
-    low, high = (float(times[int(np.argmax(share >= level))]) for level in (0.1, 0.9))
+    time_10_s, time_90_s = (float(times[int(np.argmax(share >= level))]) for level in (0.1, 0.9))
     limit = amplifier.current_limit
     return StepRun(
         size_si=size,
         peak_current_a=peak,
         saturated=limit is not None and peak >= _SATURATED * limit.si,
-        rise_s=high - low,
+        rise_s=time_90_s - time_10_s,
         overshoot=max(0.0, float(share.max()) - 1.0),
         load_overshoot=max(0.0, float((load / size).max()) - 1.0),
         load_si=float(load[-1]),
@@ -413,23 +419,25 @@ def run_experiments(machine: Machine, axis: str) -> Campaign:
     drive = machine.drive_of(axis)
     # Radians of the motor per unit of the axis.
     ratio = abs(sum(q.si * rates[b] for b, q in drive.acts_on.items()))
-    fast = at_filter_rate(machine)
-    highest = min(_HIGHEST_HZ, 0.2 / float(fast.tick_clock.period_s))
-    sweep = stepped_sine(fast, axis, np.geomspace(1.0, highest, _FREQUENCIES), _SWEEP_COUNTS)
-    found = identify(sweep) if not machine.links and drive.inductance is not None else None
-    if found is not None:
-        delay = found.delay_s
-        found = Identified(
-            gain=found.gain * ratio,
-            natural_rad_s=found.natural_rad_s,
-            damping=found.damping,
-            delay_s=delay,
+    fast_machine = at_filter_rate(machine)
+    highest_hz = min(_HIGHEST_HZ, 0.2 / float(fast_machine.tick_clock.period_s))
+    sweep = stepped_sine(
+        fast_machine, axis, np.geomspace(1.0, highest_hz, _FREQUENCIES), _SWEEP_COUNTS
+    )
+    fitted = identify(sweep) if not machine.links and drive.inductance is not None else None
+    if fitted is not None:
+        delay_s = fitted.delay_s
+        fitted = Identified(
+            gain=fitted.gain * ratio,
+            natural_rad_s=fitted.natural_rad_s,
+            damping=fitted.damping,
+            delay_s=delay_s,
         )
     else:
-        own = axis_loop(machine, axis).axis_plant()
+        plant = axis_loop(machine, axis).axis_plant()
         omega = 2 * np.pi * sweep.frequency_hz
-        late = np.exp(1j * omega * own.delay_s[0])
-        delay = dead_time_s(sweep, 1j * omega * own.response(omega)[:, 0, 0] * late)
+        delay_factor = np.exp(1j * omega * plant.delay_s[0])
+        delay_s = dead_time_s(sweep, 1j * omega * plant.response(omega)[:, 0, 0] * delay_factor)
     steps = tuple(
         (
             k * np.pi / 8,
@@ -440,8 +448,8 @@ def run_experiments(machine: Machine, axis: str) -> Campaign:
     speed = _RUN_RAD_S / ratio
     return Campaign(
         axis=axis,
-        gain=constant_speed_gain(fast, axis, speed) * ratio,
-        delay_s=delay,
-        fitted=found,
+        gain=constant_speed_gain(fast_machine, axis, speed) * ratio,
+        delay_s=delay_s,
+        fitted=fitted,
         steps=steps,
     )

@@ -202,11 +202,13 @@ def find_fastest(
         raise ValueError(f"nothing to scan with {points} points, two are the least")
     check_range(low, high, "m/s")
     seen = {} if seen is None else seen
-    an_edge = float(np.log2(np.log(high / low) / points / edge_relative + 1.0))
-    inside = INSIDE if near else 0
+    trials_per_edge = float(np.log2(np.log(high / low) / points / edge_relative + 1.0))
+    trials_inside = INSIDE if near else 0
     trials = TrialShares(None, "", 0.0) if trials is None else trials
-    scanned = points + 6.0 * near + 2.0 * an_edge + inside - len(seen)  # estimate for one interval
-    trials.expects(_AT_ENDS if grid.between else scanned)
+    expected_trials = (
+        points + 6.0 * near + 2.0 * trials_per_edge + trials_inside - len(seen)
+    )  # estimate for one interval
+    trials.expects(_AT_ENDS if grid.between else expected_trials)
 
     def verdict_at(feed: float) -> Verdict:
         if feed not in seen:
@@ -219,8 +221,8 @@ def find_fastest(
             trials.done()
         return seen[feed]
 
-    def expects(edges: int) -> None:
-        trials.expects(an_edge * edges + inside * (edges / 2.0 + 1.0))
+    def expects(edge_count: int) -> None:
+        trials.expects(trials_per_edge * edge_count + trials_inside * (edge_count / 2.0 + 1.0))
 
     step = (high / low) ** (1.0 / (points - 1))
     steps: dict[str, Any] = {
@@ -235,7 +237,7 @@ def find_fastest(
         intervals = _whole_range(verdict_at, (low, high), grid)
         steps |= {"step": 0.0, "near_step": 0.0} if intervals else {}
         if grid.between and not intervals:
-            trials.expects(scanned)
+            trials.expects(expected_trials)
         intervals = intervals or (_searched if grid.every else _searched_from_above)(
             verdict_at, seen, (low, high), grid, expects
         )
@@ -262,14 +264,14 @@ def find_fastest(
             **_not_below(steps, seen),
         )
     steps["low"] = low if grid.every else min(seen)
-    best = _first(intervals).high
+    best_feed = _first(intervals).high
     # An isolated passing feed may lie between the best feed and the first failing feed.
-    above = [feed for feed in seen if feed > best and not seen[feed].passed]
-    limited_by = worst_criterion(seen[min(above)])[0] if above else RANGE
+    failed_above = [feed for feed in seen if feed > best_feed and not seen[feed].passed]
+    limited_by = worst_criterion(seen[min(failed_above)])[0] if failed_above else RANGE
     return Fastest(
         intervals=tuple(intervals),
         limited_by=limited_by,
-        verdict=seen[best],
+        verdict=seen[best_feed],
         tried=len(seen),
         complete=complete,
         **steps,
@@ -285,30 +287,30 @@ def _not_below(steps: dict[str, Any], seen: Mapping[float, Verdict]) -> dict[str
 def _between_tried(seen: Mapping[float, Verdict]) -> list[Interval]:
     """Return the intervals in which every tried feed passes, the lowest first."""
     intervals: list[Interval] = []
-    below = False
+    previous_passed = False
     for feed in sorted(seen):
         passed = seen[feed].passed
         if passed:
-            low = intervals.pop().low if below else feed
+            low = intervals.pop().low if previous_passed else feed
             intervals.append(Interval(low=low, high=feed))
-        below = passed
+        previous_passed = passed
     return intervals
 
 
-def _whole_range(verdict_at: Judged, span: tuple[float, float], grid: Grid) -> list[Interval]:
+def _whole_range(verdict_at: Judged, feed_range: tuple[float, float], grid: Grid) -> list[Interval]:
     """Return the interval between two feeds that stand for all others; empty if one fails."""
     if not grid.between:
         return []
-    low, high = span
-    below = low if grid.every else _spaced(low, high, grid.points)[-min(_ENOUGH, grid.points)]
-    passes = verdict_at(high).passed and verdict_at(below).passed
-    return [Interval(low=below, high=high)] if passes else []
+    low, high = feed_range
+    lower_feed = low if grid.every else _spaced(low, high, grid.points)[-min(_ENOUGH, grid.points)]
+    passes = verdict_at(high).passed and verdict_at(lower_feed).passed
+    return [Interval(low=lower_feed, high=high)] if passes else []
 
 
 def _searched(
     verdict_at: Judged,
     seen: Mapping[float, Verdict],
-    span: tuple[float, float],
+    feed_range: tuple[float, float],
     grid: Grid,
     expects: Callable[[int], None],
 ) -> list[Interval]:
@@ -317,10 +319,10 @@ def _searched(
     ``expects`` is called with the number of edges to refine, once it is known.
     """
     points, near, edge_relative = grid.points, grid.near, grid.edge
-    feeds = _spaced(*span, points)
+    feeds = _spaced(*feed_range, points)
     passes = _passes(verdict_at, feeds)
     if near:
-        feeds = _finer(feeds, _about(passes), near)
+        feeds = _with_more_feeds(feeds, _gaps_to_refine(passes), near)
         passes = _passes(verdict_at, feeds)
     expects(sum(before != after for before, after in pairwise(passes)))
     intervals = _bounded(verdict_at, feeds, passes, edge_relative)
@@ -336,7 +338,7 @@ def _searched(
 def _searched_from_above(
     verdict_at: Judged,
     seen: Mapping[float, Verdict],
-    span: tuple[float, float],
+    feed_range: tuple[float, float],
     grid: Grid,
     expects: Callable[[int], None],
 ) -> list[Interval]:
@@ -348,38 +350,38 @@ def _searched_from_above(
     is fixed.
     """
     points, near, edge_relative = grid.points, grid.near, grid.edge
-    scan = _down_to_passing(verdict_at, _spaced(*span, points))
+    scan = _down_to_passing(verdict_at, _spaced(*feed_range, points))
     if _fixed([verdict_at(feed) for feed in scan]):
         return []
     if not near:
         intervals = _bounded(verdict_at, scan, _passes(verdict_at, scan), edge_relative)
         expects(2 * len(intervals))
         return intervals
-    about: set[int] = set()
+    refined_gaps: set[int] = set()
     while True:
-        feeds = _finer(scan, about, near)
+        feeds = _with_more_feeds(scan, refined_gaps, near)
         intervals = _bounded(verdict_at, feeds, _passes(verdict_at, feeds), edge_relative)
         expects(1)
-        held: list[Interval] = []
-        while intervals and all(part.alone for part in held):
-            held = held_parts(verdict_at, seen, intervals.pop(), edge_relative) + held
-        if all(part.alone for part in held):
-            return _searched(verdict_at, seen, span, grid, expects)
-        top = max(part.high for part in held if not part.alone)
-        gap = bisect_right(scan, top) - 1
-        if gap in about or gap == len(scan) - 1:
-            return intervals + held
-        about |= {gap - 1, gap, gap + 1}
+        examined: list[Interval] = []
+        while intervals and all(part.alone for part in examined):
+            examined = held_parts(verdict_at, seen, intervals.pop(), edge_relative) + examined
+        if all(part.alone for part in examined):
+            return _searched(verdict_at, seen, feed_range, grid, expects)
+        highest_passing = max(part.high for part in examined if not part.alone)
+        gap = bisect_right(scan, highest_passing) - 1
+        if gap in refined_gaps or gap == len(scan) - 1:
+            return intervals + examined
+        refined_gaps |= {gap - 1, gap, gap + 1}
 
 
 def _down_to_passing(verdict_at: Judged, feeds: list[float]) -> list[float]:
     """Return the highest feeds, down to ``_ENOUGH`` in a row that pass or to a fixed error."""
-    passing, verdicts = 0, list[Verdict]()
-    for at in range(len(feeds) - 1, -1, -1):
-        verdicts.insert(0, verdict_at(feeds[at]))
-        passing = passing + 1 if verdicts[0].passed else 0
-        if passing == _ENOUGH or _fixed(verdicts):
-            return feeds[at:]
+    passing_count, verdicts = 0, list[Verdict]()
+    for index in range(len(feeds) - 1, -1, -1):
+        verdicts.insert(0, verdict_at(feeds[index]))
+        passing_count = passing_count + 1 if verdicts[0].passed else 0
+        if passing_count == _ENOUGH or _fixed(verdicts):
+            return feeds[index:]
     return feeds
 
 
@@ -391,11 +393,11 @@ def _fixed(verdicts: Sequence[Verdict]) -> str:
     """
     slowest, errors = _speeds(verdicts[0]), _failing(verdicts[0])
     for verdict in verdicts:
-        found = _failing(verdict)
+        failing = _failing(verdict)
         errors = {
             name: value
             for name, value in errors.items()
-            if name in found and abs(found[name] - value) <= _FIXED * value
+            if name in failing and abs(failing[name] - value) <= _FIXED * value
         }
         if not errors or verdict.passed:
             return ""
@@ -443,10 +445,10 @@ def _bounded(
             start = (
                 feed if index == 0 else refined(verdict_at, feed, feeds[index - 1], edge_relative)
             )
-        ends = index + 1 == len(feeds) or not passes[index + 1]
-        if passes[index] and ends and start is not None:
-            last = index + 1 == len(feeds)
-            stop = feed if last else refined(verdict_at, feed, feeds[index + 1], edge_relative)
+        is_end = index + 1 == len(feeds) or not passes[index + 1]
+        if passes[index] and is_end and start is not None:
+            is_last = index + 1 == len(feeds)
+            stop = feed if is_last else refined(verdict_at, feed, feeds[index + 1], edge_relative)
             intervals.append(Interval(low=start, high=stop))
             start = None
     return intervals
@@ -457,13 +459,13 @@ def _first(intervals: Sequence[Interval]) -> Interval:
     return min(intervals, key=lambda interval: interval.alone)
 
 
-def _about(passes: Sequence[bool]) -> set[int]:
+def _gaps_to_refine(passes: Sequence[bool]) -> set[int]:
     """Return the gaps between pass and fail, and gaps beside them, by index of the lower feed."""
-    changes = (gap for gap, (a, b) in enumerate(pairwise(passes)) if a != b)
-    return {beside for gap in changes for beside in (gap - 1, gap, gap + 1)}
+    edge_gaps = (gap for gap, (a, b) in enumerate(pairwise(passes)) if a != b)
+    return {near_gap for gap in edge_gaps for near_gap in (gap - 1, gap, gap + 1)}
 
 
-def _finer(feeds: Sequence[float], gaps: Collection[int], near: int) -> list[float]:
+def _with_more_feeds(feeds: Sequence[float], gaps: Collection[int], near: int) -> list[float]:
     """Return ``feeds`` with ``near`` more feeds in each gap of ``gaps``."""
     finer = []
     for gap, feed in enumerate(feeds):

@@ -34,12 +34,14 @@ def searched_by(job: Job, machine: Machine) -> FeedMode:
     of the fibre and the soft stop of the mandrel, so the search varies the override on every
     machine.
     """
-    named = job.feed_rule.partition(":")[0]
-    if named not in RULES:
+    rule_name = job.feed_rule.partition(":")[0]
+    if rule_name not in RULES:
         return FeedMode.OVERRIDE if _timed(job) else FeedMode.FASTEST_AXIS
     if machine.operator is None and _feeds_differ(job):
         return FeedMode.OVERRIDE
-    return FeedMode.FASTEST_AXIS if RULES[named][0] is FeedMode.FASTEST_AXIS else FeedMode.F_WORD
+    return (
+        FeedMode.FASTEST_AXIS if RULES[rule_name][0] is FeedMode.FASTEST_AXIS else FeedMode.F_WORD
+    )
 
 
 def _timed(job: Job) -> bool:
@@ -75,33 +77,33 @@ def search_range(job: Job, machine: Machine, by: FeedMode) -> tuple[float, float
     """
     if by is not FeedMode.OVERRIDE:
         return feed_range_m_s(machine, by, job.feed_rule)
-    column = [machine.axis_names.index(axis) for axis in job.axes]
-    radius, velocity = machine.radius_m[column], machine.velocity_limit[column]
-    fastest_m_s, free_m_s, faster = 0.0, 0.0, 1.0
-    last = np.array(job.start)
+    columns = [machine.axis_names.index(axis) for axis in job.axes]
+    radius, velocity = machine.radius_m[columns], machine.velocity_limit[columns]
+    fastest_m_s, free_m_s, largest_factor = 0.0, 0.0, 1.0
+    last_position = np.array(job.start)
     for block in programmed_path(job, machine):
-        way = np.abs(np.diff(block.positions, axis=0, prepend=last[None]))
-        last = block.positions[-1]
-        fed = (block.nominal_s > 0.0) & way.any(axis=1)
-        if not fed.any():
+        distances = np.abs(np.diff(block.positions, axis=0, prepend=last_position[None]))
+        last_position = block.positions[-1]
+        is_fed = (block.nominal_s > 0.0) & distances.any(axis=1)
+        if not is_fed.any():
             continue
-        nominal_s = block.nominal_s[fed]
-        speeds = (way[fed] * radius).max(axis=1) / nominal_s
-        shares = nominal_s / (way[fed] / velocity).max(axis=1)
+        nominal_s = block.nominal_s[is_fed]
+        speeds = (distances[is_fed] * radius).max(axis=1) / nominal_s
+        shares = nominal_s / (distances[is_fed] / velocity).max(axis=1)
         fastest_m_s = max(fastest_m_s, float(speeds.max()))
-        free = shares > 1.0 + _SAME
-        speeds, shares = speeds[free], shares[free]
-        top = float(speeds.max(initial=0.0))
-        if top > free_m_s * (1.0 + _SAME):
-            free_m_s, faster = top, 1.0
-        same = speeds >= free_m_s * (1.0 - _SAME)
-        faster = max(faster, float(shares[same].max(initial=1.0)))
-    if free_m_s * faster < fastest_m_s * (1.0 - _SAME):
-        faster = 1.0
+        below_limits = shares > 1.0 + _SAME
+        speeds, shares = speeds[below_limits], shares[below_limits]
+        fastest_free_m_s = float(speeds.max(initial=0.0))
+        if fastest_free_m_s > free_m_s * (1.0 + _SAME):
+            free_m_s, largest_factor = fastest_free_m_s, 1.0
+        as_fast = speeds >= free_m_s * (1.0 - _SAME)
+        largest_factor = max(largest_factor, float(shares[as_fast].max(initial=1.0)))
+    if free_m_s * largest_factor < fastest_m_s * (1.0 - _SAME):
+        largest_factor = 1.0
     least_m_s = feed_range_m_s(machine)[0]
     if not fastest_m_s:
         return 0.01, 1.0
-    return _typed(min(least_m_s / fastest_m_s, 0.5), math.ceil), _typed(faster, math.floor)
+    return _typed(min(least_m_s / fastest_m_s, 0.5), math.ceil), _typed(largest_factor, math.floor)
 
 
 def feed_range_m_s(
@@ -120,12 +122,12 @@ def feed_range_m_s(
         axes = machine.axis_names
         unit = as_f_words(1.0, rule)
         # F at which an axis alone has a speed: the time at F 1 for its distance in one second.
-        alone = feed_time_s(np.diag(speeds[0]), unit, axes, machine)
-        together = feed_time_s(speeds[1:], unit, axes, machine)
-        each = feed_time_s(np.diag(speeds[1]), unit, axes, machine)
-        low, high = float(alone.max()), float(max(together.max(), each.max()))
+        alone_s = feed_time_s(np.diag(speeds[0]), unit, axes, machine)
+        together_s = feed_time_s(speeds[1:], unit, axes, machine)
+        each_at_limit_s = feed_time_s(np.diag(speeds[1]), unit, axes, machine)
+        low, high = float(alone_s.max()), float(max(together_s.max(), each_at_limit_s.max()))
     else:
-        low, high = (float((of_axes * machine.radius_m).max()) for of_axes in speeds)
+        low, high = (float((axis_speeds * machine.radius_m).max()) for axis_speeds in speeds)
     return _typed(low, math.ceil), _typed(high, math.floor)
 
 
@@ -133,10 +135,10 @@ _SAME = 1e-3
 """Speeds that differ by a smaller share count as equal."""
 
 
-def _typed(feed: float, towards: Callable[[float], int]) -> float:
+def _typed(feed: float, rounding: Callable[[float], int]) -> float:
     """Return a feed of six digits within the range, so that a user can type the search's ends."""
     digits = 5 - math.floor(math.log10(feed))
-    return float(f"{towards(feed * 10.0**digits)}e{-digits}")
+    return float(f"{rounding(feed * 10.0**digits)}e{-digits}")
 
 
 def fastest_feed(
@@ -164,8 +166,10 @@ def fastest_feed(
     def planner(part: LongMoves) -> Callable[[float], Plan]:
         def planned_at(pace: float) -> Plan:
             feed = Feed(by, pace)
-            watched, on = part.without_middles(feed, options.limit_share)
-            return kept_in_memory(plan_job(watched, on, replace(options, feed=feed)))
+            shortened_job, limited_machine = part.without_middles(feed, options.limit_share)
+            return kept_in_memory(
+                plan_job(shortened_job, limited_machine, replace(options, feed=feed))
+            )
 
         return planned_at
 
@@ -204,12 +208,12 @@ def needle_range_hz(job: Job, machine: Machine) -> tuple[float, float]:
     OptionError
         If the job has no stitches.
     """
-    sewn = [o.tags for o in job if isinstance(o, Move) and "target_m" in o.tags]
-    lengths = {float(tags["target_m"]) for tags in sewn}
+    stitch_tags = [o.tags for o in job if isinstance(o, Move) and "target_m" in o.tags]
+    lengths = {float(tags["target_m"]) for tags in stitch_tags}
     if not lengths:
         raise OptionError(f"{job.name} has no stitches", remedy="Search the feed instead.")
     high = min(machine.axes[axis].velocity.si for axis in job.axes) / min(lengths)
-    slowest = max(float(tags.get("slowest_hz", 0.0)) for tags in sewn)
+    slowest = max(float(tags.get("slowest_hz", 0.0)) for tags in stitch_tags)
     return max(_SLOWEST * high, slowest), high
 
 

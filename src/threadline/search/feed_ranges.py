@@ -49,9 +49,9 @@ def typeable(feed: float, gap: float) -> float:
     The shortened feed itself is tried, so a user who types it gets the same plan.
     """
     for digits in range(4, 16):
-        short = float(f"{feed:.{digits}g}")
-        if abs(short - feed) <= 0.01 * gap:
-            return short
+        rounded_feed = float(f"{feed:.{digits}g}")
+        if abs(rounded_feed - feed) <= 0.01 * gap:
+            return rounded_feed
     return feed
 
 
@@ -78,50 +78,52 @@ def held_parts(
     thin, the used share of a limit jumps by a hundredth or two between feeds 0.02 % apart. So the
     neighbours of the tightest feeds of the remaining parts are tried, too.
     """
-    parts, found = [interval], []
+    parts, held = [interval], []
     while parts:
         part = parts.pop()
         width = part.high - part.low
         if width <= edge_relative * part.low:
             at_an_end = part.low <= min(seen) or part.high >= max(seen)
-            found.append(part if at_an_end else Interval(low=part.high, high=part.high, alone=True))
+            held.append(part if at_an_end else Interval(low=part.high, high=part.high, alone=True))
             continue
-        inside = [
+        inner_feeds = [
             typeable(part.low + (_GOLDEN * k % 1.0) * width, width / INSIDE)
             for k in range(1, INSIDE + 1)
         ]
-        failing = next((f for f in inside if not verdict_at(f).passed), None)
+        failing = next((f for f in inner_feeds if not verdict_at(f).passed), None)
         if failing is None:
             failing = _beside_tightest(verdict_at, seen, part)
         if failing is None:
-            found.append(part)
+            held.append(part)
             continue
-        known = [f for f in seen if part.low <= f <= part.high and seen[f].passed]
-        below = max(f for f in known if f < failing)
-        above = min(f for f in known if f > failing)
+        passing_feeds = [f for f in seen if part.low <= f <= part.high and seen[f].passed]
+        passing_below = max(f for f in passing_feeds if f < failing)
+        passing_above = min(f for f in passing_feeds if f > failing)
         parts.append(
-            Interval(low=part.low, high=refined(verdict_at, below, failing, edge_relative))
+            Interval(low=part.low, high=refined(verdict_at, passing_below, failing, edge_relative))
         )
         parts.append(
-            Interval(low=refined(verdict_at, above, failing, edge_relative), high=part.high)
+            Interval(low=refined(verdict_at, passing_above, failing, edge_relative), high=part.high)
         )
-    return sorted(found, key=lambda part: part.low)
+    return sorted(held, key=lambda part: part.low)
 
 
 def _beside_tightest(
     verdict_at: Judged, seen: Mapping[float, Verdict], part: Interval
 ) -> float | None:
     """Return a failing neighbour of a feed with a thin margin; None without one."""
-    looked: set[float] = set()
+    looked_at: set[float] = set()
     for _ in range(_LOOKS):
-        uses = {f: used(seen[f]) for f in seen if part.low <= f <= part.high and f not in looked}
-        tightest = max(uses, key=uses.__getitem__, default=0.0)
-        if uses.get(tightest, 0.0) < _THIN:
+        share_used = {
+            f: used(seen[f]) for f in seen if part.low <= f <= part.high and f not in looked_at
+        }
+        tightest = max(share_used, key=share_used.__getitem__, default=0.0)
+        if share_used.get(tightest, 0.0) < _THIN:
             return None
-        looked.add(tightest)
+        looked_at.add(tightest)
         for steps in _BESIDE:
             feed = typeable(tightest * (1.0 + steps * _JUMP), tightest * _JUMP)
-            looked.add(feed)
+            looked_at.add(feed)
             if part.low < feed < part.high and not verdict_at(feed).passed:
                 return feed
     return None
@@ -220,14 +222,14 @@ def worst_criterion(verdict: Verdict) -> tuple[str, float]:
     The factor is infinite if a required criterion was not measured, or a criterion with limit zero
     fails. Such a criterion is named only if no other fails.
     """
-    worst, factor, unbounded = "", 0.0, ""
+    worst_name, factor, without_ratio = "", 0.0, ""
     for result in verdict.results:
         if result.status is Status.FAILED and result.limit and result.measured is not None:
             ratio = result.measured / result.limit
             if ratio > factor:
-                worst, factor = result.name, ratio
+                worst_name, factor = result.name, ratio
         elif result.status is Status.FAILED or (
             result.status is Status.NOT_MEASURED and result.required
         ):
-            unbounded = unbounded or result.name
-    return worst or unbounded, math.inf if unbounded else factor
+            without_ratio = without_ratio or result.name
+    return worst_name or without_ratio, math.inf if without_ratio else factor

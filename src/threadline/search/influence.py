@@ -61,9 +61,9 @@ def influence(
     """
     from scipy.stats import DegenerateDataWarning, bootstrap, sobol_indices, truncnorm, uniform
 
-    cut = truncnorm(-FARTHEST, FARTHEST, scale=1.0 / _PER_PART)
-    alike = uniform(-1.0, 2.0)
-    dists: list[Any] = [cut if one else alike for one in normal]
+    truncated = truncnorm(-FARTHEST, FARTHEST, scale=1.0 / _PER_PART)
+    even = uniform(-1.0, 2.0)
+    distributions: list[Any] = [truncated if one else even for one in normal]
     random = np.random.default_rng(seed)
     values: list[FloatArray] = []
 
@@ -75,7 +75,7 @@ def influence(
     sobol_indices(
         func=lambda x: result(np.ascontiguousarray(x.T))[None],
         n=samples,
-        dists=dists,
+        dists=distributions,
         rng=random,
         method=cast(Any, shares),
     )
@@ -83,18 +83,23 @@ def influence(
         # A number without influence has the same index in every sample, so its interval has no
         # width.
         warnings.simplefilter("ignore", DegenerateDataWarning)
-        found = np.nan_to_num(_shares(*values)[:, 0], nan=0.0, posinf=0.0, neginf=0.0)
+        indices = np.nan_to_num(_shares(*values)[:, 0], nan=0.0, posinf=0.0, neginf=0.0)
         # The bootstrap of scipy's result takes no generator: its ends differ between calls.
-        spread = bootstrap(
+        interval = bootstrap(
             [np.arange(samples)],
             lambda of: _shares(*(value[..., of] for value in values))[:, 0],
             n_resamples=_RESAMPLES,
             method="BCa",
             rng=random,
         ).confidence_interval
-    ends = np.stack([spread.low, spread.high], axis=1)
-    ends = np.where(np.isnan(ends), found[:, None], ends)
-    return Influence(first=found[0], total=found[1], first_interval=ends[0], total_interval=ends[1])
+    interval_ends = np.stack([interval.low, interval.high], axis=1)
+    interval_ends = np.where(np.isnan(interval_ends), indices[:, None], interval_ends)
+    return Influence(
+        first=indices[0],
+        total=indices[1],
+        first_interval=interval_ends[0],
+        total_interval=interval_ends[1],
+    )
 
 
 def _shares(a: FloatArray, b: FloatArray, exchanged: FloatArray) -> FloatArray:
@@ -174,36 +179,38 @@ def cheapest_set(
 
     def tried(factors: FloatArray) -> tuple[int, float, FloatArray]:
         """Return the number that pass, minus the sum of the shares above 1, and all used shares."""
-        found = judged.judged(parts * factors, done)
-        shares = np.minimum(shares_of(found)[0], _MOST_SHARE)
-        return int(found.passed.sum()), -float(shares[shares > 1.0].sum()), shares
+        results = judged.judged(parts * factors, done)
+        shares = np.minimum(shares_of(results)[0], _MOST_SHARE)
+        return int(results.passed.sum()), -float(shares[shares > 1.0].sum()), shares
 
     def enough(passed: int) -> bool:
         return clopper_pearson(passed, machines)[0] >= wanted_yield
 
     factors = np.ones(parts.shape[1])
-    passed, near, shares = tried(factors)
-    free = list(range(len(factors)))
+    passed, best_negative_excess, shares = tried(factors)
+    candidates_left = list(range(len(factors)))
     while not enough(passed):
         steps = []
-        for k in list(free):
-            then = factors.copy()
-            then[k] *= _STEP
-            more, nearer, changed = tried(then)
-            if np.array_equal(changed, shares) or then[k] <= _LEAST:
-                free.remove(k)  # the number has no influence, or its tolerance is almost 0
-            steps.append((more, nearer, k, changed))
+        for k in list(candidates_left):
+            candidate_factors = factors.copy()
+            candidate_factors[k] *= _STEP
+            passed_count, negative_excess, candidate_shares = tried(candidate_factors)
+            if np.array_equal(candidate_shares, shares) or candidate_factors[k] <= _LEAST:
+                candidates_left.remove(
+                    k
+                )  # the number has no influence, or its tolerance is almost 0
+            steps.append((passed_count, negative_excess, k, candidate_shares))
         best = max(steps, key=lambda step: step[:2], default=None)
-        if best is None or best[:2] <= (passed, near):
+        if best is None or best[:2] <= (passed, best_negative_excess):
             return CheapestSet(factors=factors, passed=passed, tried=machines, reached=False)
-        passed, near, at, shares = best
-        factors[at] *= _STEP
+        passed, best_negative_excess, halved_index, shares = best
+        factors[halved_index] *= _STEP
     for k in np.argsort(factors, kind="stable")[::-1].tolist():
         while factors[k] < 1.0:
-            then = factors.copy()
-            then[k] /= _STEP
-            fewer = tried(then)[0]
-            if not enough(fewer):
+            candidate_factors = factors.copy()
+            candidate_factors[k] /= _STEP
+            passed_count_wider = tried(candidate_factors)[0]
+            if not enough(passed_count_wider):
                 break
-            factors, passed = then, fewer
+            factors, passed = candidate_factors, passed_count_wider
     return CheapestSet(factors=factors, passed=passed, tried=machines, reached=True)

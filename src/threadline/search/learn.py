@@ -81,8 +81,8 @@ class Learner:
         self._columns = [machine.axis_names.index(axis) for axis in plan.axes]
         self._scale = machine.counts_per_unit[self._columns]
         self._radius = machine.radius_m[self._columns]
-        share = 1.0 if off_tolerance(machine, mass=1.0, stiffness=1.0) != machine else 0.0
-        machines = corners(machine, share) if share else [machine]
+        tolerance_share = 1.0 if off_tolerance(machine, mass=1.0, stiffness=1.0) != machine else 0.0
+        machines = corners(machine, tolerance_share) if tolerance_share else [machine]
         self.filters = tuple(
             learning_filter(
                 machine,
@@ -98,8 +98,8 @@ class Learner:
         self._time_s = machine.tick_clock.times_s(0, ticks)
         self._target = self._intended(ticks)
         end_s = plan.motion.trajectory.duration_s - plan.motion.rests_s[1]
-        past = (self._time_s - end_s - _RINGING_S) / _RINGING_S
-        self._weight = 0.5 + 0.5 * np.cos(np.pi * np.clip(past, 0.0, 1.0))
+        periods_past_end = (self._time_s - end_s - _RINGING_S) / _RINGING_S
+        self._weight = 0.5 + 0.5 * np.cos(np.pi * np.clip(periods_past_end, 0.0, 1.0))
         self._own = self._demand(simulate(self.table, machine))
 
     @property
@@ -145,8 +145,8 @@ class Learner:
                 remedy="Give a run that was completed.",
             )
         error = (self._target - self._read(recording)) * self._weight[:, None]
-        at_tool = error * self._radius
-        rms = float(np.sqrt((at_tool**2).sum(axis=1).mean()))
+        error_at_tool = error * self._radius
+        rms = float(np.sqrt((error_at_tool**2).sum(axis=1).mean()))
         return Tried(offset=offset, error=error, passed=passed, error_m=rms)
 
     def next(self, runs: Sequence[Tried]) -> tuple[FloatArray, float, str]:
@@ -159,27 +159,33 @@ class Learner:
         runs
             All runs so far, in order; at least one.
         """
-        at, gain = best_of([(one.passed, one.error_m) for one in runs], self.rules.gain)
-        best = runs[at]
+        best_index, gain = best_of(
+            [(learning_filter.passed, learning_filter.error_m) for learning_filter in runs],
+            self.rules.gain,
+        )
+        best = runs[best_index]
         if gain < self.rules.gain * GIVEN_UP:
             return best.offset, 0.0, "the best table is kept"
         columns = zip(self.filters, best.error.T, self._scale, strict=True)
-        change = np.stack([one.change(error) * scale for one, error, scale in columns], axis=1)
+        change = np.stack(
+            [learning_filter.change(error) * scale for learning_filter, error, scale in columns],
+            axis=1,
+        )
         change[0] = change[-1] = 0.0
         note = ""
         for _ in range(_HALVINGS):
             offset = best.offset + gain * change
-            beyond = self._beyond(self.commands(offset))
-            if beyond is None:
+            broken_limit = self._beyond(self.commands(offset))
+            if broken_limit is None:
                 return offset, gain, note
-            gain, note = 0.5 * gain, beyond
+            gain, note = 0.5 * gain, broken_limit
         return best.offset, 0.0, note
 
     def commands(self, offset: FloatArray) -> TickTable:
         """Return the plan's table with an (n + 1, axes) offset in counts, which is rounded."""
-        whole = np.zeros_like(self._begun)
-        whole[:, self._columns] = np.rint(offset).astype(np.int64)
-        return with_offsets(self.table, whole)
+        whole_offset = np.zeros_like(self._begun)
+        whole_offset[:, self._columns] = np.rint(offset).astype(np.int64)
+        return with_offsets(self.table, whole_offset)
 
     def nothing(self) -> FloatArray:
         """Return the (n + 1, axes) offset of the plan's own table: zeros."""
@@ -193,13 +199,15 @@ class Learner:
         """Return which limit a table breaks on the file's machine; None if it keeps them all."""
         machine = self.plan.machine
         for axis, column in zip(self.plan.axes, self._columns, strict=True):
-            part = machine.axes[axis]
-            if part.travel is None:
+            axis_limits = machine.axes[axis]
+            if axis_limits.travel is None:
                 continue
-            places = positions(table)[:, column] / machine.counts_per_unit[column]
-            for end, over in zip(part.travel, (places.min(), places.max()), strict=True):
-                outside = over < end.si if end is part.travel[0] else over > end.si
-                if outside:
+            positions_si = positions(table)[:, column] / machine.counts_per_unit[column]
+            for end, extreme in zip(
+                axis_limits.travel, (positions_si.min(), positions_si.max()), strict=True
+            ):
+                is_outside = extreme < end.si if end is axis_limits.travel[0] else extreme > end.si
+                if is_outside:
                     return f"travel of axis {axis}"
         for name, share in self._demand(simulate(table, machine)).items():
             if share > max(_FULL, self._own[name]):
@@ -212,13 +220,13 @@ class Learner:
         for axis in self.plan.axes:
             controller = self.plan.machine.controller_of(axis)
             limit = self.plan.machine.drive_of(axis).amplifier.current_limit
-            for kind, most in (
+            for kind, limit_value in (
                 (ChannelKind.VOLTAGE, controller.dac.range.si),
                 (ChannelKind.CURRENT, None if limit is None else limit.si),
             ):
                 channel = recording.find(kind, axis)
-                if channel is not None and most is not None:
-                    limits[channel.name] = f"{kind} of axis {axis}", most
+                if channel is not None and limit_value is not None:
+                    limits[channel.name] = f"{kind} of axis {axis}", limit_value
         return {
             limits[name][0]: float(np.abs(values).max()) / limits[name][1]
             for name, (_, values) in recording.samples_of(limits).items()
@@ -277,7 +285,7 @@ def learn(
         If the machine cannot play the table.
     """
     plan = learner.plan
-    ran = plan.machine if actual is None else actual
+    run_machine = plan.machine if actual is None else actual
     days = drawn_days(
         repeats + 1 if trials.repeats > 1 else 1,
         len(learner.table.axes),
@@ -293,24 +301,25 @@ def learn(
             offset, gain, note = learner.next(runs)
         table = learner.commands(offset)
         day = number if trials.repeats > 1 else 0
-        varied = vary(
-            ran,
+        varied_machine = vary(
+            run_machine,
             friction=float(days.friction[day]),
             supply=float(days.supply[day]),
             tension=float(days.tension[day]),
         )
-        recording = simulate(table, varied, encoder_phase=days.phases[day])
-        kept = replace(recording, blocks=tuple(recording.blocks))
-        verdict = Judge(replace(plan, commands=table), spec).verdict([kept])
-        run = learner.tried(kept, offset, passed=verdict.passed)
+        recording = simulate(table, varied_machine, encoder_phase=days.phases[day])
+        recording_in_memory = replace(recording, blocks=tuple(recording.blocks))
+        verdict = Judge(replace(plan, commands=table), spec).verdict([recording_in_memory])
+        run = learner.tried(recording_in_memory, offset, passed=verdict.passed)
         runs.append(run)
-        accounts.append(learner.account(run, kept, verdict, (number, gain, note)))
+        accounts.append(learner.account(run, recording_in_memory, verdict, (number, gain, note)))
     accounts = with_followed(accounts)
     best = best_table(accounts)
     learned = learned_plan(plan, learner.commands(runs[best].offset))
     return Learned(
-        plan=learned, actual=ran, repeats=tuple(accounts), best=best, filters=learner.filters,
-        rules=learner.rules, proof=prove_plan(learned, spec, None, trials.alone, actual),
+        plan=learned, actual=run_machine, repeats=tuple(accounts), best=best,
+        filters=learner.filters, rules=learner.rules,
+        proof=prove_plan(learned, spec, None, trials.alone, actual),
     )  # fmt: skip
 
 
@@ -334,15 +343,15 @@ def learned_verdict(
     machines = [actual]
     if trials.ends is not None:
         machines += [one for _, one in ends_of(plan.machine, trials.ends).machines]
-    found: list[Verdict] = []
+    verdicts: list[Verdict] = []
     for machine in machines:
         learned = learn(
             learner, spec, actual=machine, repeats=repeats, trials=trials.alone
         ).proof.verdict
         if not learned.passed:
             return learned
-        found.append(learned)
-    return max(found, key=used)
+        verdicts.append(learned)
+    return max(verdicts, key=used)
 
 
 def check_learnable(job: Job, machine: Machine, following: Following) -> None:

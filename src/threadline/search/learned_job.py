@@ -219,29 +219,29 @@ def learned_on_twins(
     options = words.options()
     spec = with_shaping(words.spec(chosen), chosen, options)
     check_machine(chosen)
-    known = with_radii_of(chosen, options)
-    ran: Sequence[tuple[str, Machine]]
+    machine_with_radii = with_radii_of(chosen, options)
+    run_machines: Sequence[tuple[str, Machine]]
     if trials.ends is not None:
-        ran = ends_of(chosen, trials.ends).machines
+        run_machines = ends_of(chosen, trials.ends).machines
     else:
-        ran = [((actual or chosen).name, actual or chosen)]
-    job = open_job(file, known, options)
-    check_learnable(job, known, options.on(known).following)
-    plan = plan_job(job, known, options)
+        run_machines = [((actual or chosen).name, actual or chosen)]
+    job = open_job(file, machine_with_radii, options)
+    check_learnable(job, machine_with_radii, options.on(machine_with_radii).following)
+    plan = plan_job(job, machine_with_radii, options)
     learner = Learner(plan, rules)
-    found = []
-    for at, (name, one) in enumerate(ran):
+    learned_machines = []
+    for machine_index, (name, run_machine) in enumerate(run_machines):
 
-        def of_all(doing: str, done: float, at: int = at) -> None:
+        def of_all(activity: str, fraction: float, machine_index: int = machine_index) -> None:
             if progress is not None:
-                progress(doing, (at + done) / len(ran))
+                progress(activity, (machine_index + fraction) / len(run_machines))
 
         learned = learn(
-            learner, spec, actual=None if one is chosen else one, repeats=repeats, trials=trials,
-            progress=of_all,
+            learner, spec, actual=None if run_machine is chosen else run_machine,
+            repeats=repeats, trials=trials, progress=of_all,
         )  # fmt: skip
-        found.append((name, learned))
-    return LearnedJob(base=plan, spec=spec, machines=tuple(found))
+        learned_machines.append((name, learned))
+    return LearnedJob(base=plan, spec=spec, machines=tuple(learned_machines))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
@@ -287,14 +287,14 @@ class LearnedRuns(Summarised):
 
     def _summary(self) -> Summary:
         rows = [
-            [str(at), "yes" if run.verdict.passed else "no", f"{100.0 * run.share:.0f} %",
+            [str(number), "yes" if run.verdict.passed else "no", f"{100.0 * run.share:.0f} %",
              f"{1e3 * run.error_m:.4g} mm", "" if run.followed else "worse: undone"]
-            for at, run in enumerate(self.repeats)
+            for number, run in enumerate(self.repeats)
         ]  # fmt: skip
         title = f"{self.base.job.name} on {self.base.machine.name}, learned from recorded runs"
         header = ["run", "in spec", "of the limit", "error", "note"]
-        below = f"gain {self.gain:.3g} after run {self.best}" if self.gain else self.note
-        return Summary(title, header, rows, f"next table: {below}")
+        closing = f"gain {self.gain:.3g} after run {self.best}" if self.gain else self.note
+        return Summary(title, header, rows, f"next table: {closing}")
 
     def content(self) -> dict[str, Any]:
         """Return the answer for JSON."""
@@ -344,8 +344,8 @@ def learned_from(
             f"the options of planning differ from {next(iter(recorded))}",
             remedy="Leave them out: they are read from the recording.",
         )
-    known = with_radii_of(chosen, options)
-    job = open_job(file, known, options)
+    machine_with_radii = with_radii_of(chosen, options)
+    job = open_job(file, machine_with_radii, options)
     for (name, recording), origin in zip(recorded.items(), origins, strict=True):
         refuse_other_files(Path(name), recording, job, chosen)
         if options_from(_without_table(origin)) != options:
@@ -353,7 +353,7 @@ def learned_from(
                 f"{name} was planned with other options than {next(iter(recorded))}",
                 remedy="Give runs of one plan.",
             )
-    plan = plan_job(job, known, options)
+    plan = plan_job(job, machine_with_radii, options)
     base = tick_table(plan.commands)
     spec = with_shaping(words.spec(chosen), chosen, options)
     learner = Learner(plan, rules)
@@ -361,11 +361,13 @@ def learned_from(
     repeats: list[Repeat] = []
     for number, (recording, origin) in enumerate(zip(recorded.values(), origins, strict=True)):
         table = base if "table" not in origin else learned_commands(base, origin["table"])
-        kept = replace(recording, blocks=tuple(recording.blocks))
-        verdict = Judge(replace(plan, commands=table), spec).verdict([kept], recorded=True)
-        run = learner.tried(kept, learner.offset_of(table), passed=verdict.passed)
+        recording_in_memory = replace(recording, blocks=tuple(recording.blocks))
+        verdict = Judge(replace(plan, commands=table), spec).verdict(
+            [recording_in_memory], recorded=True
+        )
+        run = learner.tried(recording_in_memory, learner.offset_of(table), passed=verdict.passed)
         runs.append(run)
-        repeats.append(learner.account(run, kept, verdict, (number, 0.0, "")))
+        repeats.append(learner.account(run, recording_in_memory, verdict, (number, 0.0, "")))
     offset, gain, note = learner.next(runs)
     return LearnedRuns(
         base=plan, plan=learned_plan(plan, learner.commands(offset)),
@@ -379,17 +381,19 @@ def typed_options(origin: Mapping[str, str]) -> dict[str, str]:
     The learned table is left out.
     """
     typed: dict[str, str] = {}
-    for one, known in RECORDED:
-        text = origin.get(known.key)
-        if text is None or one.name in {"table", "smoothing"} or text in USUAL:
+    for option, recorded_as in RECORDED:
+        text = origin.get(recorded_as.key)
+        if text is None or option.name in {"table", "smoothing"} or text in USUAL:
             continue
-        if one.type is Type.FLAG:
-            typed[one.typed] = ""
-            usual = OPTIMAL_FEED_FORWARD if origin["interpolation"] == OPTIMAL else FEED_FORWARD
-            if "robust" not in origin and known.read(text) != known.read(usual):
+        if option.type is Type.FLAG:
+            typed[option.typed] = ""
+            default_text = (
+                OPTIMAL_FEED_FORWARD if origin["interpolation"] == OPTIMAL else FEED_FORWARD
+            )
+            if "robust" not in origin and recorded_as.read(text) != recorded_as.read(default_text):
                 typed["--smoothing"] = text
-        elif known.read(text) != getattr(_PLAIN, one.attribute):
-            typed[one.typed] = text
+        elif recorded_as.read(text) != getattr(_PLAIN, option.attribute):
+            typed[option.typed] = text
     return typed | ({"--smoothing": origin["change"]} if "change" in origin else {})
 
 

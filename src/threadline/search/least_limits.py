@@ -92,11 +92,11 @@ class Shares:
         """
         if share in self.rungs and not grid.near:
             return self.rungs[share]
-        telling = self._telling(share)
+        report = self._telling(share)
         self.steps += 1
         if share in self.left_out or (share not in self.rungs and self._hopeless(share)):
             return None
-        found = self.searched(share, grid, telling)
+        found = self.searched(share, grid, report)
         try:
             duration_s = self.duration_s(share, found)
         except KeyboardInterrupt as signal:
@@ -131,16 +131,18 @@ class Shares:
         """Return the callback for the progress of one share's search."""
         if self.progress is None:
             return None
-        progress, each = self.progress, 1.0 / max(self.expected, self.steps + 1)
-        done = self.steps * each
+        progress, share_per_step = self.progress, 1.0 / max(self.expected, self.steps + 1)
+        progress_before = self.steps * share_per_step
 
-        def telling(_: str, part: float) -> None:
+        def report(_: str, fraction: float) -> None:
             # If there are more searches than expected, each has a smaller share of the progress.
-            self.progress_share = max(self.progress_share, done + part * each)
+            self.progress_share = max(
+                self.progress_share, progress_before + fraction * share_per_step
+            )
             progress(f"limits {share:.0%}", self.progress_share)
 
-        telling("", 0.0)
-        return telling
+        report("", 0.0)
+        return report
 
     def _hopeless(self, share: float) -> bool:
         """Return whether a share is too slow to be the answer, even at the highest feed."""
@@ -205,14 +207,14 @@ def fastest_job(question: Question) -> FastestJob:
     seen: dict[float, dict[float, Verdict]] = {}
     scanned, limits_alone = in_one_run(question), _only_limits(question)
 
-    def searched(share: float, grid: Grid, telling: Progress | None) -> Fastest:
-        part = scanned if parts == (job,) else of_a_part(scanned)
-        with_share = replace(part.options, limit_share=share)
-        at_share = replace(part, options=with_share, progress=telling)
+    def searched(share: float, grid: Grid, report: Progress | None) -> Fastest:
+        part_question = scanned if parts == (job,) else of_a_part(scanned)
+        with_share = replace(part_question.options, limit_share=share)
+        question_at_share = replace(part_question, options=with_share, progress=report)
         # The slow feeds of a winding take longest to judge, and are never the answer.
-        every = options.product is None and (by_feed or not shares.long)
-        closely = replace(grid, every=every, between=limits_alone)
-        return fastest_feed(at_share, closely, parts, seen.setdefault(share, {}))
+        every_interval = options.product is None and (by_feed or not shares.long)
+        examined_grid = replace(grid, every=every_interval, between=limits_alone)
+        return fastest_feed(question_at_share, examined_grid, parts, seen.setdefault(share, {}))
 
     def planned_s(share: float, feed: float) -> float:
         return planned_at(question, share, feed).duration_s
@@ -240,8 +242,8 @@ def fastest_job(question: Question) -> FastestJob:
         if until is None or not rungs or not until.interrupted(signal):
             raise
     best, stopped = min(rungs.values(), key=in_order), until is not None and bool(until.ended)
-    repeats, cut = parts != (job,), _cut(parts, machine, best, by)
-    partly = repeats or cut or scanned is not question
+    repeats, shortened = parts != (job,), _cut(parts, machine, best, by)
+    partly = repeats or shortened or scanned is not question
     whole = not stopped or not partly
     if partly and not stopped and best.duration_s is not None:
         whole = False
@@ -259,10 +261,10 @@ def fastest_job(question: Question) -> FastestJob:
         best=best,
         rungs=tuple(sorted(rungs.values(), key=lambda rung: -rung.share)),
         left_out=tuple(sorted(shares.left_out, reverse=True)),
-        moves=moves_in(job) if repeats or cut else 0,
-        judged_moves=sum(map(moves_in, parts)) if repeats or cut else 0,
+        moves=moves_in(job) if repeats or shortened else 0,
+        judged_moves=sum(map(moves_in, parts)) if repeats or shortened else 0,
         parts=len(parts) if repeats else 0,
-        cut=cut,
+        cut=shortened,
         whole=whole,
         in_one_run=scanned is not question,
         ended="" if until is None else until.ended,
@@ -301,8 +303,8 @@ def _enough(
         return None
     low, high = interval.low, interval.high
     halvings = math.log2(max(math.log(high / low) / math.log(_ENOUGH_STEP), 1.0))
-    rest = part_of(progress, _OF_SEARCH, 1.0 - _OF_SEARCH)
-    trials = TrialShares(rest, _LOWEST, halvings)
+    rest_progress = part_of(progress, _OF_SEARCH, 1.0 - _OF_SEARCH)
+    trials = TrialShares(rest_progress, _LOWEST, halvings)
     while high > low * _ENOUGH_STEP:
         feed = math.sqrt(low * high)
         if planned_s(best.share, feed) <= best.duration_s * (1.0 + _SAME_TIME):
@@ -342,8 +344,8 @@ def _only_limits(question: Question) -> bool:
     A machine without dynamics does not ring, so only a criterion of the specification could need
     less acceleration.
     """
-    own = all(one.hard or one.limit is None for one in question.spec.criteria)
-    return question.machine.without_dynamics and own
+    limits_alone = all(one.hard or one.limit is None for one in question.spec.criteria)
+    return question.machine.without_dynamics and limits_alone
 
 
 def _climb(

@@ -47,17 +47,17 @@ class Bound:
 
 def bounds_of(job: Job, machine: Machine, options: Options) -> tuple[Bound, ...]:
     """Return the least times within the limits of the axes, and of axes and drives."""
-    freely = replace(options, feed_forward_s=None, contour_m=math.inf)
-    path = plan_job(job, machine, freely).motion.path
+    without_allowance = replace(options, feed_forward_s=None, contour_m=math.inf)
+    path = plan_job(job, machine, without_allowance).motion.path
     # A table may end before the loads are at rest; this is the largest time that it saves thereby.
-    sooner_s = 0.0
+    early_end_s = 0.0
     if options.timing.ends_m is not None:
-        sooner_s = EARLIEST * _tick_s(machine)
+        early_end_s = EARLIEST * _tick_s(machine)
     of_loads = not options.follows_contour
     reserved = with_reserve(machine, options.reserve)
     drives = limits_of(reserved, path.axes, path.radius_m, of_loads=of_loads)
     return tuple(
-        Bound(within=within, duration_s=max(least_time_s(path, limits) - sooner_s, 0.0))
+        Bound(within=within, duration_s=max(least_time_s(path, limits) - early_end_s, 0.0))
         for within, limits in (
             ("the axes", axis_limits(machine, path.axes, path.radius_m)),
             ("axes and drives", drives),
@@ -76,22 +76,22 @@ def least_on_any_path(
     timing = options.timing
     programmed = programmed_path(job, machine, feed=timing.feed, at_limits=True)
     blocks = list(programmed)
-    places = np.concatenate([block.positions for block in blocks])
+    positions = np.concatenate([block.positions for block in blocks])
     rests = np.concatenate([block.rest for block in blocks])
-    full = with_reserve(machine, (0.0, 0.0))
-    found = [0.0]
+    without_reserve = with_reserve(machine, (0.0, 0.0))
+    times_s = [0.0]
     for k, axis in enumerate(programmed.axes):
         radius_m = programmed.radius_m[k : k + 1]
-        way = shortened_way(places[:, k], rests, within_m / float(radius_m[0]))
-        if len(way) < 2:
+        reversals = shortened_way(positions[:, k], rests, within_m / float(radius_m[0]))
+        if len(reversals) < 2:
             continue
-        alone = ProgrammedPath(
-            axes=(axis,), radius_m=radius_m, blocks=Stream(_one_block, _to_and_fro(way))
+        axis_path = ProgrammedPath(
+            axes=(axis,), radius_m=radius_m, blocks=Stream(_one_block, _to_and_fro(reversals))
         )
-        path = plan_path(alone, full, OPTIMAL, _SHARP * within_m)
-        found.append(least_time_s(path, limits_of(full, (axis,), radius_m)))
-    sooner_s = 0.0 if options.timing.ends_m is None else EARLIEST * _tick_s(machine)
-    least_s = max(found) - sooner_s
+        path = plan_path(axis_path, without_reserve, OPTIMAL, _SHARP * within_m)
+        times_s.append(least_time_s(path, limits_of(without_reserve, (axis,), radius_m)))
+    early_end_s = 0.0 if options.timing.ends_m is None else EARLIEST * _tick_s(machine)
+    least_s = max(times_s) - early_end_s
     within = f"axes and drives on any path within {within_m * 1e3:g} mm"
     return (Bound(within=within, duration_s=least_s),) if least_s > 0.0 else ()
 
@@ -115,32 +115,32 @@ def shortened_way(places: FloatArray, rests: IntArray, within: float) -> FloatAr
     within
         Largest distance from the program, in the unit of the axis.
     """
-    ends = [float(places[0])]
-    towards = 0.0
-    far = float(places[0])
-    for place, rest in zip(places[1:].tolist(), rests[1:].tolist(), strict=True):
-        if towards == 0.0:
-            if abs(place - far) > 2.0 * within:
-                towards, far = math.copysign(1.0, place - far), place
-        elif (place - far) * towards > 0.0:
-            far = place
-        elif (far - place) * towards > 2.0 * within:
-            ends.append(far - towards * within)
-            towards, far = -towards, place
-        if rest and towards and far != ends[0]:
-            ends.append(far - towards * within)
-            towards = 0.0
-    if towards:
-        ends.append(far - towards * within)
-    return np.array(ends)
+    reversals = [float(places[0])]
+    direction = 0.0
+    farthest = float(places[0])
+    for position, rest in zip(places[1:].tolist(), rests[1:].tolist(), strict=True):
+        if direction == 0.0:
+            if abs(position - farthest) > 2.0 * within:
+                direction, farthest = math.copysign(1.0, position - farthest), position
+        elif (position - farthest) * direction > 0.0:
+            farthest = position
+        elif (farthest - position) * direction > 2.0 * within:
+            reversals.append(farthest - direction * within)
+            direction, farthest = -direction, position
+        if rest and direction and farthest != reversals[0]:
+            reversals.append(farthest - direction * within)
+            direction = 0.0
+    if direction:
+        reversals.append(farthest - direction * within)
+    return np.array(reversals)
 
 
-def _to_and_fro(way: FloatArray) -> VertexBlock:
-    count = len(way)
+def _to_and_fro(reversals: FloatArray) -> VertexBlock:
+    count = len(reversals)
     rest = np.zeros(count, dtype=np.int64)
     rest[[0, -1]] = 1
     return VertexBlock(
-        positions=way[:, None],
+        positions=reversals[:, None],
         operation=np.arange(count),
         nominal_s=np.zeros(count),
         rest=rest,

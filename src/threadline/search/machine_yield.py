@@ -162,24 +162,24 @@ class MachineYield(WithinTolerances):
         """
         if variants < 1:
             raise OptionError(f"variants must be at least 1, got {variants}")
-        found: list[EachRun] = []
-        through = 0
+        batches_judged: list[EachRun] = []
+        known_count = 0
         if state is not None and state.known is not None:
-            through = min(state.known.runs, variants)
+            known_count = min(state.known.runs, variants)
             state.check_first(self.judged(drawn(self.plan.machine, seed, first + np.arange(1))))
-            found.append(state.known.taken(np.arange(through)))
+            batches_judged.append(state.known.taken(np.arange(known_count)))
             if done is not None:
-                done(through)
+                done(known_count)
         at_once = self._at_once(variants)
         batches = (
             drawn(self.plan.machine, seed, first + np.arange(at, min(at + at_once, variants)))
-            for at in range(through, variants, at_once)
+            for at in range(known_count, variants, at_once)
         )
         for batch in self.judged_each(batches, done):
-            found.append(batch)
+            batches_judged.append(batch)
             if state is not None:
                 state.add(batch)
-        return Yield(numbers=self.numbers, found=EachRun.joined(found), seed=seed)
+        return Yield(numbers=self.numbers, found=EachRun.joined(batches_judged), seed=seed)
 
     def _at_once(self, variants: int) -> int:
         """Return the number of machines that are judged and stored as one part."""
@@ -187,12 +187,12 @@ class MachineYield(WithinTolerances):
             return _AT_ONCE_ALONE
         if any(path.endswith(TIMES) for number in self.numbers for path in number.numbers):
             return _AT_ONCE_LATE  # each task of a worker has one choice of dead times
-        elsewhere = workers()
-        if elsewhere is None:
+        remote_workers = workers()
+        if remote_workers is None:
             return AT_ONCE
         # Parts are small, so that all workers end at about the same time, and a lost part costs
         # little.
-        return max(min(_AT_ONCE_AWAY, variants // (_TURNS * elsewhere.cores)), 1)
+        return max(min(_AT_ONCE_AWAY, variants // (_TURNS * remote_workers.cores)), 1)
 
     def worst(self, known: Yield | None = None, done: Done | None = None) -> Worst:
         """Return the worst machine that is found within the tolerances.
@@ -214,16 +214,19 @@ class MachineYield(WithinTolerances):
             order = np.argsort(-shares_of(known.found)[0], kind="stable")
             parts = drawn(self.plan.machine, known.seed, order)
             search.add(parts, known.found.taken(order))
-        ends: IntArray = np.zeros(0, dtype=np.int64)
+        corner_indices: IntArray = np.zeros(0, dtype=np.int64)
         if len(self.numbers) <= MOST_CORNERS:
-            ends = search.tried(corners(self.plan.machine) * self.ends)
+            corner_indices = search.tried(corners(self.plan.machine) * self.ends)
         search.go_on()
         worst = search.worst()
         shares, names = shares_of(search.found)
-        at_corner = ends[shares[ends] >= shares[worst]]
-        at = int(at_corner[0]) if len(at_corner) else worst
+        worst_corners = corner_indices[shares[corner_indices] >= shares[worst]]
+        worst_index = int(worst_corners[0]) if len(worst_corners) else worst
         return self.worst_at(
-            search.parts[at], float(shares[at]), names[at], of_corners=len(at_corner) > 0
+            search.parts[worst_index],
+            float(shares[worst_index]),
+            names[worst_index],
+            of_corners=len(worst_corners) > 0,
         )
 
     def halved(self, variants: int, seed: int, done: Done | None = None) -> FloatArray:
@@ -233,12 +236,12 @@ class MachineYield(WithinTolerances):
         alone.
         """
         parts = drawn(self.plan.machine, seed, np.arange(variants))
-        found = np.empty(len(self.numbers))
+        yields = np.empty(len(self.numbers))
         for k in range(len(self.numbers)):
-            fewer = parts.copy()
-            fewer[:, k] *= 0.5
-            found[k] = self.judged(fewer, done).passed.mean()
-        return found
+            halved_parts = parts.copy()
+            halved_parts[:, k] *= 0.5
+            yields[k] = self.judged(halved_parts, done).passed.mean()
+        return yields
 
 
 def limited_rows(found: Yield) -> list[CriterionRow]:
@@ -274,8 +277,8 @@ def criterion_cells(row: CriterionRow) -> list[str]:
     assert row.limit is not None
     values = [quantile(row, share) for share in (0.5, 0.99, 1.0)]
     measured = ["-" if np.isnan(value) else shown(value, row.unit) for value in values]
-    out = f"{int((row.failed | row.missed).sum())}"
-    return [row.text, *measured, shown(row.limit, row.unit), out]
+    failed_count = f"{int((row.failed | row.missed).sum())}"
+    return [row.text, *measured, shown(row.limit, row.unit), failed_count]
 
 
 def quantile(row: CriterionRow, share: float) -> float:
@@ -283,10 +286,10 @@ def quantile(row: CriterionRow, share: float) -> float:
 
     The value of a machine whose motion grows without bound is infinite.
     """
-    known = row.values[~np.isnan(row.values)]
-    if not len(known):
+    measured = row.values[~np.isnan(row.values)]
+    if not len(measured):
         return float("nan")
-    if np.isfinite(known).all():
-        return float(np.quantile(known, share))
+    if np.isfinite(measured).all():
+        return float(np.quantile(measured, share))
     # A number and infinity cannot be interpolated.
-    return float(np.quantile(known, share, method="inverted_cdf"))
+    return float(np.quantile(measured, share, method="inverted_cdf"))

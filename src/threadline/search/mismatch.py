@@ -114,14 +114,14 @@ def at_tolerance_ends(
             remedy='Write them in the machine file: "111 kg +- 10 %".',
         )
     question = replace(question, trials=NOMINAL, until=None)
-    cells = []
-    places = [(mass, stiffness) for mass in ENDS for stiffness in ENDS]
-    for number, (mass, stiffness) in enumerate(places):
+    mismatches = []
+    deviations = [(mass, stiffness) for mass in ENDS for stiffness in ENDS]
+    for number, (mass, stiffness) in enumerate(deviations):
         if question.progress is not None:
-            question.progress("searching off the tolerances", number / len(places))
+            question.progress("searching off the tolerances", number / len(deviations))
         actual = off_tolerance(machine, mass=mass, stiffness=stiffness)
         best, intervals, limited_by = again(replace(question, actual=actual, progress=None))
-        cells.append(
+        mismatches.append(
             Mismatch(
                 mass=mass,
                 stiffness=stiffness,
@@ -130,7 +130,7 @@ def at_tolerance_ends(
                 limited_by=limited_by,
             )
         )
-    return tuple(cells)
+    return tuple(mismatches)
 
 
 def near_best(question: Question, best: float | None, top: float) -> Question:

@@ -71,8 +71,8 @@ def residual_ringing(
     turn
         Factor on the complex ringing in one scan: ``exp(pole * scan_s)``.
     """
-    at, heights = valves.switchings(ticks, levels)
-    return complex(np.sum(heights * np.exp(np.log(turn) * (ticks[-1] - at))))
+    times, heights = valves.switchings(ticks, levels)
+    return complex(np.sum(heights * np.exp(np.log(turn) * (ticks[-1] - times))))
 
 
 def gapped(
@@ -91,36 +91,41 @@ def gapped(
     scans.
     """
     log = np.log(turn)
-    one, two = (round(on_scans - count * valves.longer) for count in (2, 3))
-    tables = [*_one_gap(one, dwell, total, step), *_two_gaps(two, dwell, total, step)]
-    found = []
+    on_scans_one_gap, on_scans_two_gaps = (
+        round(on_scans - count * valves.longer) for count in (2, 3)
+    )
+    tables = [
+        *_one_gap(on_scans_one_gap, dwell, total, step),
+        *_two_gaps(on_scans_two_gaps, dwell, total, step),
+    ]
+    commands = []
     for edges in tables:
-        late = np.tile([valves.opens, valves.closes], edges.shape[1] // 2)
+        delays = np.tile([valves.opens, valves.closes], edges.shape[1] // 2)
         heights = np.tile([1.0, -1.0], edges.shape[1] // 2)
-        left = np.exp(log * (edges[:, -1:] - edges - late)) @ heights
+        left = np.exp(log * (edges[:, -1:] - edges - delays)) @ heights
         for row in np.flatnonzero(np.abs(left) <= most):
             ticks = edges[row].tolist()
             levels = tuple(float(v) for v in np.tile([1.0, 0.0], len(ticks) // 2))
-            found.append(LevelCommand("levels", tuple(ticks), levels, complex(left[row])))
-    return found
+            commands.append(LevelCommand("levels", tuple(ticks), levels, complex(left[row])))
+    return commands
 
 
 def _one_gap(on: int, dwell: int, total: int, step: int) -> Iterator[IntArray]:
     """Yield (n, 4) switchings of commands with one gap of ``total`` scans, if there are any."""
-    first = np.arange(dwell, on - dwell + 1, step)
-    if len(first):
-        zero = np.zeros_like(first)
-        yield np.column_stack((zero, first, first + total, zero + on + total))
+    first_stretch = np.arange(dwell, on - dwell + 1, step)
+    if len(first_stretch):
+        zero = np.zeros_like(first_stretch)
+        yield np.column_stack((zero, first_stretch, first_stretch + total, zero + on + total))
 
 
 def _two_gaps(on: int, dwell: int, total: int, step: int) -> Iterator[IntArray]:
     """Yield (n, 6) switchings of commands with two gaps of ``total`` scans together."""
-    first = np.arange(dwell, on - dwell + 1, step)
+    stretches = np.arange(dwell, on - dwell + 1, step)
     gaps = np.arange(dwell, total - dwell + 1, step)
-    if not len(first) or not len(gaps):
+    if not len(stretches) or not len(gaps):
         return
-    a, b, gap = (v.ravel() for v in np.meshgrid(first, first, gaps, indexing="ij"))
-    fits = a + b <= on - first[0]
+    a, b, gap = (v.ravel() for v in np.meshgrid(stretches, stretches, gaps, indexing="ij"))
+    fits = a + b <= on - stretches[0]
     a, b, gap = a[fits], b[fits], gap[fits]
     begin, end = np.zeros_like(a), on + total
     second = a + gap
@@ -141,19 +146,19 @@ def stepped(
     stretch are equally long, at least ``dwell`` scans. The two levels of a pair add up to 1, so the
     distance stays the same.
     """
-    found = []
+    commands = []
     longest = int(_LONGEST_PERIODS * period_scans(turn))
     for begin, end in pairs:
         levels = (begin, 1.0, end, 0.0)
         nominal = round(on_scans)
-        whole = valves.covered((0, 1, nominal, nominal + 1), levels)
-        on = nominal + round(on_scans - whole)
-        for span in range(dwell, min(on - dwell, longest) + 1):
-            ticks = (0, span, on, on + span)
+        covered_scans = valves.covered((0, 1, nominal, nominal + 1), levels)
+        on_end = nominal + round(on_scans - covered_scans)
+        for first_stretch in range(dwell, min(on_end - dwell, longest) + 1):
+            ticks = (0, first_stretch, on_end, on_end + first_stretch)
             left = residual_ringing(ticks, levels, turn, valves)
             if abs(left) <= most:
-                found.append(LevelCommand("levels", ticks, levels, left))
-    return found
+                commands.append(LevelCommand("levels", ticks, levels, left))
+    return commands
 
 
 def period_scans(turn: complex) -> float:
@@ -175,11 +180,11 @@ def time_optimal_s(on_s: float, pole: complex) -> float:
 
     def reachable(duration_s: float) -> bool:
         edges: FloatArray = np.linspace(0.0, duration_s, _INTERVALS + 1)
-        grown = np.exp(pole * (duration_s - edges))
-        ring = grown[:-1] - grown[1:]
-        rows = np.vstack((ring.real, ring.imag, np.diff(edges) / on_s))
-        found = linprog(np.zeros(_INTERVALS), A_eq=rows, b_eq=[0.0, 0.0, 1.0], bounds=(0.0, 1.0))
-        return bool(found.status == 0)
+        exponentials = np.exp(pole * (duration_s - edges))
+        ringing = exponentials[:-1] - exponentials[1:]
+        rows = np.vstack((ringing.real, ringing.imag, np.diff(edges) / on_s))
+        solution = linprog(np.zeros(_INTERVALS), A_eq=rows, b_eq=[0.0, 0.0, 1.0], bounds=(0.0, 1.0))
+        return bool(solution.status == 0)
 
     low, high = on_s, on_s + period_s
     if reachable(low):
@@ -229,48 +234,52 @@ class MoveCommands:
         way = cylinder.way(move.forward)
         valves = valves_of(way, self._scan_s)
         on_scans = move.levels.wanted_m / (cylinder.speed.si * self._scan_s)
-        most = min(_OVER * limit, 1e6)
+        most_ringing = min(_OVER * limit, 1e6)
         hold_s = way.least_hold_s(self._machine.plc)
         dwell = max(int(np.ceil(hold_s / self._scan_s - 1e-9)), 1)
-        found = self._shaped(move, turn, most, valves)
+        commands = self._shaped(move, turn, most_ringing, valves)
         if np.isfinite(limit):
             step = step_scans(turn)
             for total in range(dwell, int(np.ceil(period_scans(turn))) + 1, step):
-                found += gapped(on_scans, dwell, turn, most, total, valves, step)
+                commands += gapped(on_scans, dwell, turn, most_ringing, total, valves, step)
                 # Enough commands ring little, so that any earlier ringing is covered; longer ones
                 # are not needed.
-                if sum(abs(c.left) <= 0.5 * limit for c in found) >= _ENOUGH:
+                if sum(abs(c.left) <= 0.5 * limit for c in commands) >= _ENOUGH:
                     break
-            between = sorted({v for v in way.levels().values() if 0.0 < v < 1.0 - 1e-9})
-            pairs = [(a, b) for a in between for b in between if abs(a + b - 1.0) < 1e-9]
-            found += stepped(on_scans, dwell, turn, most, pairs, valves)
-        return _thinned(found)
+            middle_levels = sorted({v for v in way.levels().values() if 0.0 < v < 1.0 - 1e-9})
+            pairs = [
+                (a, b) for a in middle_levels for b in middle_levels if abs(a + b - 1.0) < 1e-9
+            ]
+            commands += stepped(on_scans, dwell, turn, most_ringing, pairs, valves)
+        return _thinned(commands)
 
     def _shaped(
-        self, move: ScheduledMove, turn: complex, most: float, valves: Valves
+        self, move: ScheduledMove, turn: complex, most_ringing: float, valves: Valves
     ) -> list[LevelCommand]:
-        found = []
+        commands = []
         for name in SHAPERS:
-            own = self._plan_with(move.axis, name).get(move.operation)
-            if own is None:
+            levels = self._plan_with(move.axis, name).get(move.operation)
+            if levels is None:
                 continue  # the cylinder's valves cannot make this command
-            left = residual_ringing(own.ticks, own.levels, turn, valves)
-            if abs(left) <= most:
-                found.append(LevelCommand(name, own.ticks, own.levels, left))
-        return found
+            left = residual_ringing(levels.ticks, levels.levels, turn, valves)
+            if abs(left) <= most_ringing:
+                commands.append(LevelCommand(name, levels.ticks, levels.levels, left))
+        return commands
 
     def _plan_with(self, axis: str, name: str) -> Mapping[int, Levels]:
         """Return the levels of a cylinder's moves with one shaper, by operation; may be empty."""
         if (axis, name) not in self._plans:
             texts = ", ".join(f"{a}={name if a == axis else 'none'}" for a in self._machine.moving)
             try:
-                plain = with_choices(self._job, {}, {})
-                made = plan_job(
-                    plain, self._machine, Options(shaper=texts)
+                plain_job = with_choices(self._job, {}, {})
+                shaped_moves = plan_job(
+                    plain_job, self._machine, Options(shaper=texts)
                 ).scheduled.one_cycle.moves
             except PlanError:
-                made = ()
-            self._plans[axis, name] = {m.operation: m.levels for m in made if m.axis == axis}
+                shaped_moves = ()
+            self._plans[axis, name] = {
+                m.operation: m.levels for m in shaped_moves if m.axis == axis
+            }
         return self._plans[axis, name]
 
 
@@ -281,12 +290,12 @@ def step_scans(turn: complex) -> int:
 
 def _thinned(commands: list[LevelCommand]) -> list[LevelCommand]:
     """Return fewer commands: for each duration the ones that ring least, and some others."""
-    kept: list[LevelCommand] = []
+    thinned: list[LevelCommand] = []
     by_scans: dict[int, list[LevelCommand]] = {}
     for command in sorted(commands, key=lambda c: (c.scans, abs(c.left))):
         by_scans.setdefault(command.scans, []).append(command)
-    for same in by_scans.values():
-        few = same[:_LEAST_LEFT]
-        others = same[_LEAST_LEFT:]
-        kept += few + others[:: max(1, -(-len(others) // _OTHERS))]
-    return kept
+    for equally_long in by_scans.values():
+        least_ringing = equally_long[:_LEAST_LEFT]
+        remaining = equally_long[_LEAST_LEFT:]
+        thinned += least_ringing + remaining[:: max(1, -(-len(remaining) // _OTHERS))]
+    return thinned

@@ -41,27 +41,30 @@ def with_choices(job: Job, how: Mapping[int, tuple[str, str]], waits: Mapping[in
     waits
         By the same index: wait before the move in s, as an operation of its own.
     """
-    found: list[Operation] = []
+    operations: list[Operation] = []
     for index, operation in enumerate(job):
         if isinstance(operation, Move):
             if waits.get(index, 0.0) > 0.0:
-                found.append(Dwell(waits[index], operation.source))
+                operations.append(Dwell(waits[index], operation.source))
             tags = {k: v for k, v in operation.tags.items() if k in {REST, OVERLAP}}
             tags |= dict([how[index]]) if index in how else {}
-            found.append(replace(operation, tags=tags))
+            operations.append(replace(operation, tags=tags))
         else:
-            found.append(operation)
-    return replace(job, operations=Stream.of(found), sha256="")
+            operations.append(operation)
+    return replace(job, operations=Stream.of(operations), sha256="")
 
 
 def levels_of_operations(moves: Iterable[tuple[int, str, str]]) -> dict[int, tuple[str, str]]:
     """Return the levels entry of each operation, from (operation, cylinder, levels)."""
-    found: dict[int, dict[str, str]] = {}
+    by_operation: dict[int, dict[str, str]] = {}
     for operation, axis, text in moves:
-        found.setdefault(operation, {})[axis] = text
+        by_operation.setdefault(operation, {})[axis] = text
     return {
-        operation: ("levels", joined_levels(each) if len(each) > 1 else next(iter(each.values())))
-        for operation, each in found.items()
+        operation: (
+            "levels",
+            joined_levels(by_axis) if len(by_axis) > 1 else next(iter(by_axis.values())),
+        )
+        for operation, by_axis in by_operation.items()
     }
 
 
@@ -77,31 +80,35 @@ def overlapped(job: Job, machine: Machine) -> Job:
     of its own.
     """
     operations = list(job)
-    found: list[Operation] = []
+    new_operations: list[Operation] = []
     resting: dict[int, Dwell] = {}
     position = job.start
     for index, operation in enumerate(operations):
         if index in resting:
-            found.append(resting[index])
-        kept = operation
+            new_operations.append(resting[index])
+        new_operation = operation
         if isinstance(operation, Move):
-            moved = _moved(job.axes, position, operation.target)
-            if OVERLAP not in operation.tags and REST not in operation.tags and len(moved) == 1:
-                cut = _cut(job, operations, index, position, moved[0], machine)
+            moved_axes = _moved_axes(job.axes, position, operation.target)
+            if (
+                OVERLAP not in operation.tags
+                and REST not in operation.tags
+                and len(moved_axes) == 1
+            ):
+                cut = _cut(job, operations, index, position, moved_axes[0], machine)
                 if cut is not None:
-                    kept = replace(operation, tags={**operation.tags, REST: cut.rest_s})
+                    new_operation = replace(operation, tags={**operation.tags, REST: cut.rest_s})
                     if cut.left_s > 0.0:
                         resting[cut.before] = Dwell(cut.left_s, operation.source)
             position = operation.target
         elif isinstance(operation, Home):
             position = tuple(0.0 for _ in job.axes)
-        found.append(kept)
+        new_operations.append(new_operation)
     if len(operations) in resting:
-        found.append(resting[len(operations)])
-    return replace(job, operations=Stream.of(found), sha256="")
+        new_operations.append(resting[len(operations)])
+    return replace(job, operations=Stream.of(new_operations), sha256="")
 
 
-def _moved(
+def _moved_axes(
     axes: tuple[str, ...], begin: tuple[float, ...], end: tuple[float, ...]
 ) -> tuple[str, ...]:
     return tuple(axis for axis, a, b in zip(axes, begin, end, strict=True) if a != b)
@@ -133,30 +140,38 @@ def _cut(
     assert isinstance(move, Move)
     assert machine.plc is not None
     scan_s = float(machine.clock(machine.plc.clock).period_s)
-    from_m, to_m = (dict(zip(job.axes, at, strict=True))[axis] for at in (begin, move.target))
+    from_m, to_m = (
+        dict(zip(job.axes, following_index, strict=True))[axis]
+        for following_index in (begin, move.target)
+    )
     whole_s = machine.cylinders[axis].rest_s(to_m > from_m)
     rests: list[float] = []
-    drawn, spent_s, before = False, 0.0, len(operations)
-    for at, after in enumerate(operations[index + 1 :], start=index + 1):
-        if isinstance(after, WaitInput):
-            contact = machine.contacts[after.name]
-            if contact.cylinder == axis and contact.at is not None and after.value and not drawn:
+    is_drawn, spent_s, before = False, 0.0, len(operations)
+    for following_index, following in enumerate(operations[index + 1 :], start=index + 1):
+        if isinstance(following, WaitInput):
+            contact = machine.contacts[following.name]
+            if (
+                contact.cylinder == axis
+                and contact.at is not None
+                and following.value
+                and not is_drawn
+            ):
                 rests.append(_passes_s(machine, axis, from_m, to_m, contact.at.si))
             spent_s += scan_s
-        elif isinstance(after, SetOutput) and _draws(machine, after):
-            drawn, spent_s = True, spent_s + scan_s
-        elif isinstance(after, Dwell) and drawn:
-            spent_s += after.duration_s
-        elif isinstance(after, Move):
-            others = _moved(job.axes, move.target, after.target)
-            if rests and others and axis not in others:
-                return _Cut(round(max(rests), 6), 0.0, at)
-            before = at
+        elif isinstance(following, SetOutput) and _draws(machine, following):
+            is_drawn, spent_s = True, spent_s + scan_s
+        elif isinstance(following, Dwell) and is_drawn:
+            spent_s += following.duration_s
+        elif isinstance(following, Move):
+            moved_axes = _moved_axes(job.axes, move.target, following.target)
+            if rests and moved_axes and axis not in moved_axes:
+                return _Cut(round(max(rests), 6), 0.0, following_index)
+            before = following_index
             break
-        elif not isinstance(after, ToolEvent):
-            before = at
+        elif not isinstance(following, ToolEvent):
+            before = following_index
             break
-    if not rests or not drawn:
+    if not rests or not is_drawn:
         return None
     rest_s = round(max(rests), 6)
     return _Cut(rest_s, round(whole_s - rest_s - spent_s, 6), before)
@@ -173,10 +188,10 @@ def _passes_s(machine: Machine, axis: str, from_m: float, to_m: float, switch_m:
     speed times lag to go, and it covers this distance as an exponential.
     """
     cylinder = machine.cylinders[axis]
-    left_m = abs(to_m - switch_m)
-    to_go = cylinder.speed.si * cylinder.lag.si / max(left_m, _LEAST_LEFT_M)
+    distance_left_m = abs(to_m - switch_m)
+    start_ratio = cylinder.speed.si * cylinder.lag.si / max(distance_left_m, _LEAST_LEFT_M)
     late_s = cylinder.way(to_m > from_m).closes_s + cylinder.delay.si
-    return late_s + cylinder.lag.si * math.log(max(to_go, 1.0))
+    return late_s + cylinder.lag.si * math.log(max(start_ratio, 1.0))
 
 
 def move_list(job: Job, machine: Machine) -> str:
@@ -206,15 +221,18 @@ def _operation_lines(
     """Return the keys of one operation; moves update ``position``."""
     match operation:
         case Move(target=target, tags=tags):
-            moved = {a: t for a, t in zip(axes, target, strict=True) if t != position[a]}
-            shown = moved or dict(zip(axes, target, strict=True))
+            moved_targets = {a: t for a, t in zip(axes, target, strict=True) if t != position[a]}
+            shown = moved_targets or dict(zip(axes, target, strict=True))
             position.update(shown)
-            places = ", ".join(
+            target_texts = ", ".join(
                 f"{axis} = {_text(at, cylinder.stroke.unit, *cylinder.usual)}"
                 for axis, at in shown.items()
                 for cylinder in (machine.cylinders[axis],)
             )
-            return [f"move = {{ {places} }}", *(_tag(key, value) for key, value in tags.items())]
+            return [
+                f"move = {{ {target_texts} }}",
+                *(_tag(key, value) for key, value in tags.items()),
+            ]
         case Dwell(duration_s=duration):
             return [f"dwell = {_text(duration, 's', 1e3, 'ms')}"]
         case SetOutput(name=name, value=value):
@@ -240,9 +258,9 @@ def _tag(key: str, value: float | str) -> str:
         return f"{key} = {_text(float(value), 's', 1e3, 'ms')}"
     if key == OVERLAP:
         return f"{key} = false"
-    each = levels_by_axis(str(value)) if key == "levels" else {}
-    if each:
-        return f"{key} = {{ {', '.join(f'{a} = {_quoted(t)}' for a, t in each.items())} }}"
+    by_axis = levels_by_axis(str(value)) if key == "levels" else {}
+    if by_axis:
+        return f"{key} = {{ {', '.join(f'{a} = {_quoted(t)}' for a, t in by_axis.items())} }}"
     return f"{key} = {_quoted(str(value))}"
 
 

@@ -120,12 +120,12 @@ class Question:
         """
         if not (verdict.passed and self.searches):
             return verdict
-        found, over = verdict, verdict.tolerances
-        if over is not None and (over.share is None or over.share >= _CLOSE):
-            found = with_worst_machine(plan, self.spec, verdict, self.suspects)
-        if found.days is None and verdict.near:
-            found = with_worst_day(plan, self.spec, verdict)
-        return replace(verdict, days=found.days) if found.passed else found
+        tried_verdict, tolerances = verdict, verdict.tolerances
+        if tolerances is not None and (tolerances.share is None or tolerances.share >= _CLOSE):
+            tried_verdict = with_worst_machine(plan, self.spec, verdict, self.suspects)
+        if tried_verdict.days is None and verdict.near:
+            tried_verdict = with_worst_day(plan, self.spec, verdict)
+        return replace(verdict, days=tried_verdict.days) if tried_verdict.passed else tried_verdict
 
 
 _CLOSE = 0.85
@@ -136,18 +136,18 @@ _PER = {"travel": "", "velocity": "/s", "acceleration": "/s^2", "jerk": "/s^3"}
 
 def beyond(error: LimitError, machine: Machine) -> Verdict:
     """Return the verdict on a plan that breaks a limit: the limit's criterion is failed."""
-    over = error.quantity == "travel"
-    base = "rad" if machine.axes[error.axis].kind == "rotary" else "m"
-    failed = Result(
+    is_travel = error.quantity == "travel"
+    length_unit = "rad" if machine.axes[error.axis].kind == "rotary" else "m"
+    result = Result(
         name=error.quantity,
         axis=error.axis,
-        measured=abs(error.value_si - error.limit_si) if over else abs(error.value_si),
-        limit=0.0 if over else error.limit_si,
-        unit=f"{base}{_PER[error.quantity]}",
+        measured=abs(error.value_si - error.limit_si) if is_travel else abs(error.value_si),
+        limit=0.0 if is_travel else error.limit_si,
+        unit=f"{length_unit}{_PER[error.quantity]}",
         status=Status.FAILED,
         note="the plan is refused",
     )
-    return Verdict(results=(failed,), simulated=False)
+    return Verdict(results=(result,), simulated=False)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -201,7 +201,7 @@ def fastest_paced(
     stretches = list(paced.planned_at)
     trials = TrialShares(question.progress, "searching", 0.0)
 
-    def judged_at(planned_at: Callable[[float], Plan], pace: float, before: int) -> Verdict:
+    def judged_at(planned_at: Callable[[float], Plan], pace: float, stretches_read: int) -> Verdict:
         try:
             plan = planned_at(pace)
         except LimitError as error:
@@ -213,39 +213,41 @@ def fastest_paced(
         if question.progress is None:
             return question.judged(plan)
         return question.judged(
-            plan, lambda _, read: trials.within((before + read) / len(stretches))
+            plan, lambda _, read: trials.within((stretches_read + read) / len(stretches))
         )
 
     def judged(pace: float) -> Verdict:
-        passed = []
-        for at, planned_at in enumerate(stretches):
-            verdict = judged_at(planned_at, pace, at)
+        verdicts = []
+        for stretch_index, planned_at in enumerate(stretches):
+            verdict = judged_at(planned_at, pace, stretch_index)
             if not verdict.passed:
                 # A stretch that fails at one pace most likely fails at the next, so it goes first.
-                stretches.insert(0, stretches.pop(at))
+                stretches.insert(0, stretches.pop(stretch_index))
                 return verdict
-            passed.append(verdict)
-        return _of_all(passed)
+            verdicts.append(verdict)
+        return _worst_of_stretches(verdicts)
 
     low = paced.low if question.low is None else question.low
     high = paced.high if question.high is None else question.high
     check_range(low, high, paced.unit)
     seen = {} if seen is None else seen
-    found = find_fastest(judged, low, high, grid, trials=trials, until=question.until, seen=seen)
-    if paced.searched is None or not (found.complete and question.searches):
-        return found
-    edges = [found]
-    with until_deadline(question.until, lambda: edges):
-        edges[0] = with_searched_edges(
-            found,
+    found_range = find_fastest(
+        judged, low, high, grid, trials=trials, until=question.until, seen=seen
+    )
+    if paced.searched is None or not (found_range.complete and question.searches):
+        return found_range
+    answer = [found_range]
+    with until_deadline(question.until, lambda: answer):
+        answer[0] = with_searched_edges(
+            found_range,
             lambda pace: seen[pace] if pace in seen else judged(pace),
             paced.searched,
             until=question.until,
         )
-    return edges[0]
+    return answer[0]
 
 
-def _of_all(passed: Sequence[Verdict]) -> Verdict:
+def _worst_of_stretches(passed: Sequence[Verdict]) -> Verdict:
     """Return one verdict over all stretches of a job that passes: the worst result of each row.
 
     Stretches with the same criteria and axes have the same rows. A stretch that is judged without
@@ -257,5 +259,7 @@ def _of_all(passed: Sequence[Verdict]) -> Verdict:
     if len({tuple(row.name for row in verdict.results) for verdict in passed}) > 1:
         return closest
     rows = zip(*(verdict.results for verdict in passed), strict=True)
-    worst = (max(row, key=lambda one: (one.measured is not None, one.severity)) for row in rows)
+    worst = (
+        max(row, key=lambda result: (result.measured is not None, result.severity)) for row in rows
+    )
     return replace(closest, results=tuple(worst))

@@ -81,19 +81,19 @@ def needle_hz(text: str) -> float:
         If the text has another unit, or the speed is out of the range of needles.
     """
     try:
-        found = parse_quantity(text, "stitch/s")
+        speed_hz = parse_quantity(text, "stitch/s")
     except UnitError as error:
         raise OptionError(
             f"{text!r}: {error.message}",
             remedy='The search of a seam runs in stitches: "40 stitch/s".',
         ) from error
-    if not LEAST_NEEDLE_HZ <= found <= MOST_NEEDLE_HZ:
+    if not LEAST_NEEDLE_HZ <= speed_hz <= MOST_NEEDLE_HZ:
         raise OptionError(
             f"{text!r} is no needle speed: it must be at least {LEAST_NEEDLE_HZ:g} and at most "
             f"{MOST_NEEDLE_HZ:g} stitch/s",
             remedy="Correct --low or --high.",
         )
-    return found
+    return speed_hz
 
 
 def _shaft_speeds(_job: Job, _machine: Machine, low: str | None, high: str | None) -> Span:
@@ -159,8 +159,8 @@ _NOT_EVERYWHERE = ("low", "high", "robust", "shaper", "mismatch", "learned")
 
 def searched_as(job: Job, options: Options) -> str:
     """Return the kind of search: the job's pace, or ``OPTIMAL`` for a search without a feed."""
-    at_once = job.paced_by == "feed" and options.interpolation == OPTIMAL
-    return OPTIMAL if at_once else job.paced_by
+    without_feed = job.paced_by == "feed" and options.interpolation == OPTIMAL
+    return OPTIMAL if without_feed else job.paced_by
 
 
 def question_of(words: Words, file: Path, machine: str | Path | Machine) -> Question:
@@ -174,18 +174,22 @@ def question_of(words: Words, file: Path, machine: str | Path | Machine) -> Ques
     robust = words.text("robust")
     share = None if robust is None else parse_robust(robust)
     trials = words.trials(ends=robust if share and words.text("ends") is None else None)
-    named, margin = words.machine(machine), parse_margin(words.text("margin") or "0 %")
-    planned = _planned_for(words, named)
-    options = words.options(file, robust=planned)
-    chosen = with_radii_of(named, options)
-    options = options.on(chosen)
-    job = open_job(file, chosen, options)
+    file_machine, margin = words.machine(machine), parse_margin(words.text("margin") or "0 %")
+    planned_for = _planned_for(words, file_machine)
+    options = words.options(file, robust=planned_for)
+    machine_with_radii = with_radii_of(file_machine, options)
+    options = options.on(machine_with_radii)
+    job = open_job(file, machine_with_radii, options)
     given = {f"--{word}": words.given.get(word) or None for word in _NOT_EVERYWHERE}
     refuse_others(job, options, given)
     search = searched_as(job, options)
-    learned = _learned(words, job, chosen, options)
-    low, high, by = PACE_OPTIONS[search].span(job, chosen, words.text("low"), words.text("high"))
-    spec = with_product(words.spec(chosen), chosen, options).with_margin(margin)
+    learned = _learned(words, job, machine_with_radii, options)
+    low, high, by = PACE_OPTIONS[search].span(
+        job, machine_with_radii, words.text("low"), words.text("high")
+    )
+    spec = with_product(words.spec(machine_with_radii), machine_with_radii, options).with_margin(
+        margin
+    )
     actual, mismatch, band = words.actual(), words.flag("mismatch"), None
     if job.paced_by == "switchings":  # commands made for a band are judged over the whole band
         trials, band = replace(trials, band=None), trials.band
@@ -198,8 +202,8 @@ def question_of(words: Words, file: Path, machine: str | Path | Machine) -> Ques
         )
     return Question(
         job=job,
-        machine=chosen,
-        spec=with_shaping(spec, chosen, options) if search == OPTIMAL else spec,
+        machine=machine_with_radii,
+        spec=with_shaping(spec, machine_with_radii, options) if search == OPTIMAL else spec,
         options=options,
         actual=actual,
         trials=trials,
@@ -210,7 +214,7 @@ def question_of(words: Words, file: Path, machine: str | Path | Machine) -> Ques
         margin=margin,
         band=band,
         mismatch=mismatch,
-        words=words.changed(robust=planned),
+        words=words.changed(robust=planned_for),
         free=_free(words) if search == OPTIMAL else frozenset(),
         learned=learned,
     )
@@ -261,11 +265,11 @@ def _planned_for(words: Words, machine: Machine) -> str | None:
     If a kind of work has feed-forward, only plans with feed-forward are made robust. Plans without
     it are made for the file's machine, and judged on the other machines, too.
     """
-    taken = kind_of(machine).planned_by
-    if "robust" in taken and "feed-forward" not in taken:
+    planning_options = kind_of(machine).planned_by
+    if "robust" in planning_options and "feed-forward" not in planning_options:
         return words.text("robust")
-    plain = words.text("interpolation") in USUAL and words.text("law") is None
-    return words.text("robust") if words.flag("feed_forward") and plain else None
+    usual = words.text("interpolation") in USUAL and words.text("law") is None
+    return words.text("robust") if words.flag("feed_forward") and usual else None
 
 
 def refuse_others(job: Job, options: Options, given: Mapping[str, object]) -> None:

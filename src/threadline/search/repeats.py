@@ -147,13 +147,13 @@ class Learned:
     @property
     def within(self) -> int | None:
         """Number of the first run from which on every followed run is in specification."""
-        kept = [one for one in self.repeats if one.followed]
-        found = None
-        for one in reversed(kept):
-            if not one.verdict.passed:
+        followed_runs = [run for run in self.repeats if run.followed]
+        number = None
+        for run in reversed(followed_runs):
+            if not run.verdict.passed:
                 break
-            found = one.number
-        return found
+            number = run.number
+        return number
 
 
 def best_of(runs: Sequence[tuple[bool, float]], gain: float) -> tuple[int, float]:
@@ -171,14 +171,14 @@ def best_of(runs: Sequence[tuple[bool, float]], gain: float) -> tuple[int, float
     >>> best_of([(False, 1.0), (False, 0.3), (False, 0.5)], 0.8)
     (1, 0.4)
     """
-    at, least = 0, runs[0][1]
+    best_index, least = 0, runs[0][1]
     for number, (passed, error) in enumerate(runs[1:], start=1):
-        if follows(runs[at][0], least, passed, error):
-            least = error if passed and not runs[at][0] else min(least, error)
-            at = number
+        if follows(runs[best_index][0], least, passed, error):
+            least = error if passed and not runs[best_index][0] else min(least, error)
+            best_index = number
         else:
             gain *= 0.5
-    return at, gain
+    return best_index, gain
 
 
 def follows(best_passed: bool, least: float, passed: bool, error: float) -> bool:
@@ -200,8 +200,8 @@ def best_table(repeats: Sequence[Repeat]) -> int:
 
 def with_followed(repeats: Sequence[Repeat]) -> list[Repeat]:
     """Return the runs with ``followed`` set: False for a run that was undone."""
-    found, runs = [], [(one.verdict.passed, one.error_m) for one in repeats]
-    for number, one in enumerate(repeats):
-        at, _ = best_of(runs[: number + 1], 1.0)
-        found.append(replace(one, followed=at == number))
-    return found
+    marked, runs = [], [(run.verdict.passed, run.error_m) for run in repeats]
+    for number, run in enumerate(repeats):
+        best_index, _ = best_of(runs[: number + 1], 1.0)
+        marked.append(replace(run, followed=best_index == number))
+    return marked

@@ -52,22 +52,24 @@ def with_searched_edges(
     first = found.fastest
     if first is None:
         return found
-    known: dict[float, Verdict] = {}
+    searched_verdicts: dict[float, Verdict] = {}
 
     def verdict_at(pace: float) -> Verdict:
-        if pace not in known:
+        if pace not in searched_verdicts:
             if until is not None:
                 until.check()
             at_best = pace == found.best
-            before = found.verdict if at_best else judged(pace)
-            known[pace] = searched(pace, before) if before.passed else before
-        return known[pace]
+            first_verdict = found.verdict if at_best else judged(pace)
+            searched_verdicts[pace] = (
+                searched(pace, first_verdict) if first_verdict.passed else first_verdict
+            )
+        return searched_verdicts[pace]
 
-    kept: list[Interval] = []
-    enough = False
+    kept_intervals: list[Interval] = []
+    best_found = False
     for interval in found.intervals:
-        if enough or (best_alone and interval.alone and not first.alone):
-            kept.append(interval)
+        if best_found or (best_alone and interval.alone and not first.alone):
+            kept_intervals.append(interval)
             continue
         high = _held(verdict_at, interval.high, interval.low, found.edge)
         if high is None:
@@ -75,12 +77,12 @@ def with_searched_edges(
         low = interval.low if best_alone else _held(verdict_at, interval.low, high, found.edge)
         low = high if low is None else min(low, high)
         alone = interval.alone or (low == high and interval.low < interval.high)
-        kept.append(Interval(low=low, high=high, alone=alone))
-        enough = best_alone
-    return _with_kept(found, tuple(kept), known)
+        kept_intervals.append(Interval(low=low, high=high, alone=alone))
+        best_found = best_alone
+    return _with_kept(found, tuple(kept_intervals), searched_verdicts)
 
 
-def _held(verdict_at: Judged, end: float, other: float, edge: float) -> float | None:
+def _held(verdict_at: Judged, end: float, far_end: float, edge: float) -> float | None:
     """Return the passing pace nearest to one end of an interval; None if none is found.
 
     Steps from the end towards the other end double until a pace passes. Then the gap between it and
@@ -89,11 +91,11 @@ def _held(verdict_at: Judged, end: float, other: float, edge: float) -> float | 
     if verdict_at(end).passed:
         return end
     failing, step = end, edge
-    inwards = 1.0 if other > end else -1.0
+    inwards = 1.0 if far_end > end else -1.0
     while True:
         pace = typeable(end * (1.0 + inwards * step), end * edge)
-        if inwards * (pace - other) >= 0.0:
-            pace = other
+        if inwards * (pace - far_end) >= 0.0:
+            pace = far_end
         if pace == failing:
             return None
         if verdict_at(pace).passed:
@@ -104,15 +106,17 @@ def _held(verdict_at: Judged, end: float, other: float, edge: float) -> float | 
 def _with_kept(found: Fastest, kept: tuple[Interval, ...], known: dict[float, Verdict]) -> Fastest:
     """Return a result with other intervals, and with the criterion that limits the fastest."""
     assert found.best is not None
-    ends = {end for one in found.intervals for end in (one.low, one.high)}
+    ends = {end for interval in found.intervals for end in (interval.low, interval.high)}
     tried = found.tried + len(known.keys() - ends)
     failing = {pace: verdict for pace, verdict in known.items() if not verdict.passed}
-    new = replace(found, intervals=kept, tried=tried)
-    if new.best is None:
+    result = replace(found, intervals=kept, tried=tried)
+    if result.best is None:
         closest = closest_of(failing.values())
         limited_by = worst_criterion(closest)[0]
-        return replace(new, limited_by=limited_by, verdict=closest, forbidden=forbidden(failing))
-    above = [pace for pace in failing if pace > new.best]
-    verdict = known.get(new.best, found.verdict)
-    limited_by = worst_criterion(failing[min(above)])[0] if above else found.limited_by
-    return replace(new, limited_by=limited_by, verdict=verdict)
+        return replace(result, limited_by=limited_by, verdict=closest, forbidden=forbidden(failing))
+    failing_above = [pace for pace in failing if pace > result.best]
+    verdict = known.get(result.best, found.verdict)
+    limited_by = (
+        worst_criterion(failing[min(failing_above)])[0] if failing_above else found.limited_by
+    )
+    return replace(result, limited_by=limited_by, verdict=verdict)

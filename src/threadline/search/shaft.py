@@ -84,10 +84,10 @@ def fastest_shaft(question: Question) -> FastestShaft:
     check_machine(machine)
     constant = constant_speeds(question)
     if constant.complete and question.searches:
-        edges = [constant]
-        with until_deadline(question.until, lambda: edges):
-            edges[0] = _searched_edges(question, constant)
-        constant = edges[0]
+        answer = [constant]
+        with until_deadline(question.until, lambda: answer):
+            answer[0] = _searched_edges(question, constant)
+        constant = answer[0]
     constant_s = None
     if constant.best is not None:
         constant_s = at_speed(question, constant.best).duration_s
@@ -95,16 +95,16 @@ def fastest_shaft(question: Question) -> FastestShaft:
     assert machine.shaft is not None
     if machine.shaft.acceleration is not None and constant.complete:
         schedule = _schedule(question)
-    times = [constant_s, None if schedule is None else schedule.plan.duration_s]
-    best = min((t for t in times if t is not None), default=None)
-    by_schedule = schedule is not None and best == schedule.plan.duration_s
+    durations_s = [constant_s, None if schedule is None else schedule.plan.duration_s]
+    best_s = min((t for t in durations_s if t is not None), default=None)
+    by_schedule = schedule is not None and best_s == schedule.plan.duration_s
     return FastestShaft(
         constant=constant,
         schedule=schedule,
         tolerance_m=question.options.tolerance_m
         if schedule is None
         else schedule.plan.stitched.pace.tolerance_m,
-        duration_s=best,
+        duration_s=best_s,
         constant_s=constant_s,
         verdict=schedule.verdict if by_schedule and schedule is not None else constant.verdict,
     )
@@ -116,34 +116,38 @@ def constant_speeds(question: Question, grid: Grid = GRID) -> Fastest:
     low, high = speed_range_hz(question.machine)
     if question.low is None:
         low = max(low, _lowest_of_interest_hz(question))
-    whole: dict[float, Verdict] = {}
+    verdicts_of_all_runs: dict[float, Verdict] = {}
 
-    def by_all(speed_hz: float, plan: Plan) -> Verdict:
-        whole[speed_hz] = question.judged(plan)
-        return whole[speed_hz]
+    def judged_by_all_runs(speed_hz: float, plan: Plan) -> Verdict:
+        verdicts_of_all_runs[speed_hz] = question.judged(plan)
+        return verdicts_of_all_runs[speed_hz]
 
     def shortened(speed_hz: float, plan: Plan) -> Verdict:
         # One run and the forecast are valid only for the file's machine, not for others.
         if trials.repeats > 1 and not trials.machines and question.actual is None:
-            first = replace(question, trials=NOMINAL).judged(plan)
-            if not first.passed or _far_within(plan, first, question.spec):
-                return first
-        return by_all(speed_hz, plan)
+            first_run = replace(question, trials=NOMINAL).judged(plan)
+            if not first_run.passed or _far_within(plan, first_run, question.spec):
+                return first_run
+        return judged_by_all_runs(speed_hz, plan)
 
     planned_at = partial(at_speed, question)
     paced = Paced(low=low, high=high, unit="stitch/s", planned_at=[planned_at], judged=shortened)
     found = fastest_paced(question, paced, grid)
     for interval in found.intervals:
         for end in (interval.low, interval.high):
-            if end not in whole:
-                by_all(end, planned_at(end))
-    ends = [whole[end] for one in found.intervals for end in (one.low, one.high)]
+            if end not in verdicts_of_all_runs:
+                judged_by_all_runs(end, planned_at(end))
+    ends = [verdicts_of_all_runs[end] for one in found.intervals for end in (one.low, one.high)]
     if not found.complete:
-        held = tuple(i for i in found.intervals if whole[i.low].passed and whole[i.high].passed)
-        found = replace(found, intervals=held)
+        held_intervals = tuple(
+            i
+            for i in found.intervals
+            if verdicts_of_all_runs[i.low].passed and verdicts_of_all_runs[i.high].passed
+        )
+        found = replace(found, intervals=held_intervals)
     elif not all(verdict.passed for verdict in ends):
-        return fastest_paced(question, replace(paced, judged=by_all), grid)
-    return found if found.best is None else replace(found, verdict=whole[found.best])
+        return fastest_paced(question, replace(paced, judged=judged_by_all_runs), grid)
+    return found if found.best is None else replace(found, verdict=verdicts_of_all_runs[found.best])
 
 
 def _searched_edges(question: Question, found: Fastest) -> Fastest:
@@ -165,14 +169,14 @@ def _far_within(plan: Plan, first: Verdict, spec: Spec) -> bool:
     limits = [c.limit for c in spec.criteria if c.name == "stitch_residual" and c.limit]
     if not limits:
         return False
-    used = [
+    shares_used = [
         abs(result.measured) / result.limit
         for result in first.results
         if result.limit and result.measured is not None
     ]
     turns = plan.stitched.turns
     forecast = plan.stitched.pace.most_swings_m(turns.moves, turns.turn_s).max()
-    return max(used) <= _FAR and bool(forecast <= _FAR * min(limits))
+    return max(shares_used) <= _FAR and bool(forecast <= _FAR * min(limits))
 
 
 def _lowest_of_interest_hz(question: Question) -> float:
@@ -212,8 +216,10 @@ def _schedule(question: Question) -> Proof | None:
         nonlocal tried
         # The tolerance is rounded to its text in millimetres, which a user types to get the same
         # plan.
-        chosen = replace(options, tolerance_m=parse_tolerance_m(tolerance_words(share * limit)))
-        plan = plan_job(question.job, question.machine, chosen)
+        schedule_options = replace(
+            options, tolerance_m=parse_tolerance_m(tolerance_words(share * limit))
+        )
+        plan = plan_job(question.job, question.machine, schedule_options)
         proof = try_plan(plan, spec, question.trials, question.actual, question.suspects)
         proof = replace(proof, verdict=question.searched(plan, proof.verdict))
         tried += 1

@@ -84,42 +84,44 @@ class LongMoves:
         share
             Share of the acceleration and jerk limits that is used.
         """
-        whole = self.job, self.machine
+        unchanged = self.job, self.machine
         if not len(self.way):
-            return whole
-        kept = 2.0 * self._kept(feed, share)
-        left_out = np.where(kept < _WORTH, 1.0 - kept, 0.0)
+            return unchanged
+        kept_share = 2.0 * self._kept(feed, share)
+        left_out = np.where(kept_share < _WORTH, 1.0 - kept_share, 0.0)
         if not left_out.any():
-            return whole
-        back = np.cumsum(self.way * left_out[:, None], axis=0)
-        items, first, ends = list[Operation | MoveRun](), 0, [np.array([self.job.start])]
+            return unchanged
+        shifts = np.cumsum(self.way * left_out[:, None], axis=0)
+        items, first, vertices = list[Operation | MoveRun](), 0, [np.array([self.job.start])]
         for item in self.items:
             if isinstance(item, MoveRun):
-                item = replace(item, targets=item.targets - back[first : first + len(item)])  # noqa: PLW2901
+                item = replace(item, targets=item.targets - shifts[first : first + len(item)])  # noqa: PLW2901
                 first += len(item)
-                ends.append(item.targets)
+                vertices.append(item.targets)
             items.append(item)
         job = replace(self.job, operations=OperationStream(Stream.of(items)))
-        column = [self.machine.axis_names.index(axis) for axis in job.axes]
-        low, high = self.machine.travel[column].T
-        places = np.concatenate(ends)
+        columns = [self.machine.axis_names.index(axis) for axis in job.axes]
+        low, high = self.machine.travel[columns].T
+        positions = np.concatenate(vertices)
         strokes = [self.machine.axes[axis].stroke for axis in job.axes]
-        most = np.array([np.inf if stroke is None else stroke.si for stroke in strokes])
-        if ((low <= places) & (places <= high)).all() and (np.ptp(places, axis=0) <= most).all():
+        strokes_si = np.array([np.inf if stroke is None else stroke.si for stroke in strokes])
+        if ((low <= positions) & (positions <= high)).all() and (
+            np.ptp(positions, axis=0) <= strokes_si
+        ).all():
             return job, self.machine
-        return whole if self.machine.inputs else (job, _without_ends(self.machine))
+        return unchanged if self.machine.inputs else (job, _without_ends(self.machine))
 
     def _kept(self, feed: Feed, share: float) -> FloatArray:
         """Return (n,) the share of each move that is kept at either end; 1 for short moves."""
         machine, axes = self.machine, self.job.axes
-        column = [machine.axis_names.index(axis) for axis in axes]
+        columns = [machine.axis_names.index(axis) for axis in axes]
         path = programmed_path(self.job, machine, feed)
         nominal_s = np.concatenate([block.nominal_s for block in path])[1:]
-        size = np.abs(self.way)
-        lasts_s = np.maximum(nominal_s, (size / machine.velocity_limit[column]).max(axis=1))
+        distances = np.abs(self.way)
+        lasts_s = np.maximum(nominal_s, (distances / machine.velocity_limit[columns]).max(axis=1))
         lasts_s = np.where(lasts_s > 0.0, lasts_s, 1.0)
-        acceleration = share * machine.acceleration_limit[column]
-        rises_s = (size / lasts_s[:, None] / acceleration).max(axis=1)
+        acceleration = share * machine.acceleration_limit[columns]
+        rises_s = (distances / lasts_s[:, None] / acceleration).max(axis=1)
         with np.errstate(invalid="ignore"):
             rises_s += np.nan_to_num(machine.acceleration_limit / machine.jerk_limit).max()
         return np.asarray(np.minimum((EVENLY_S + 2.0 * rises_s) / lasts_s, 1.0))
@@ -177,30 +179,30 @@ def distinct_parts(job: Job, machine: Machine, *, joined: bool = False) -> tuple
     """
     if job.paced_by != "feed":
         return (job,)
-    read = _read(job, machine)
-    if read is None or len(read.code) < 4 * _LEAST:
+    moves_read = _read(job, machine)
+    if moves_read is None or len(moves_read.code) < 4 * _LEAST:
         return (job,)
-    beside = _beside(job, machine, len(read.code))
-    kept = _dilated(_new(read.code, beside), beside)
-    if kept.sum() > _WORTH * len(kept):
+    beside_count = _beside(job, machine, len(moves_read.code))
+    is_kept = _dilated(_new(moves_read.code, beside_count), beside_count)
+    if is_kept.sum() > _WORTH * len(is_kept):
         return (job,)
-    edges = np.flatnonzero(np.diff(kept.astype(np.int8), prepend=0, append=0))
+    edges = np.flatnonzero(np.diff(is_kept.astype(np.int8), prepend=0, append=0))
     rotary = [one for one in map(machine.axes.get, job.axes) if one and one.kind != "linear"]
     spans = [(int(first), int(stop)) for first, stop in edges.reshape(-1, 2)]
     chains = [[span] for span in spans]
     if joined:
         chain = spans[:1]
         for first, stop in spans[1:]:
-            again = _again(read.code, chain[-1][1], first, beside)
-            if again is None or not all(axis.endless for axis in rotary):
+            repeated = _again(moves_read.code, chain[-1][1], first, beside_count)
+            if repeated is None or not all(axis.endless for axis in rotary):
                 return (job,)
-            chain.append((again, stop))
+            chain.append((repeated, stop))
         chains = [chain]
     return tuple(
         replace(
             job,
-            start=tuple(read.ends[chain[0][0]].tolist()),
-            operations=OperationStream(Stream.of(_chained(read, chain))),
+            start=tuple(moves_read.ends[chain[0][0]].tolist()),
+            operations=OperationStream(Stream.of(_chained(moves_read, chain))),
         )
         for chain in chains
     )
@@ -208,26 +210,28 @@ def distinct_parts(job: Job, machine: Machine, *, joined: bool = False) -> tuple
 
 def _again(code: IntArray, end: int, before: int, beside: int) -> int | None:
     """Return the last move up to ``before`` that follows the same moves as the move ``end``."""
-    came = code[end - beside : end]
-    for at in np.flatnonzero((code[end:before] == code[end - 1]).all(axis=1))[::-1]:
-        found = end + int(at) + 1
+    preceding = code[end - beside : end]
+    for offset in np.flatnonzero((code[end:before] == code[end - 1]).all(axis=1))[::-1]:
+        candidate = end + int(offset) + 1
         # An operation before the first move of a stretch, such as a dwell, would be lost.
-        if not code[found, -1] and np.array_equal(code[found - beside : found], came):
-            return found
+        if not code[candidate, -1] and np.array_equal(
+            code[candidate - beside : candidate], preceding
+        ):
+            return candidate
     return None
 
 
 def _chained(read: _Moves, chain: list[tuple[int, int]]) -> Iterator[Operation | MoveRun]:
     """Yield the moves of all stretches; each stretch is shifted to the end of the previous one."""
-    at = read.ends[chain[0][0]]
+    position = read.ends[chain[0][0]]
     for first, stop in chain:
-        shift = at - read.ends[first]
+        shift = position - read.ends[first]
         for item in _part(read, first, stop):
             if isinstance(item, MoveRun):
                 yield replace(item, targets=item.targets + shift)
             else:
                 yield item
-        at = read.ends[stop] + shift
+        position = read.ends[stop] + shift
 
 
 def moves_in(job: Job) -> int:
@@ -236,35 +240,36 @@ def moves_in(job: Job) -> int:
 
 
 def _read(job: Job, machine: Machine) -> _Moves | None:
-    runs, before, count = [], dict[int, list[Operation]](), 0
+    runs, operations_before, count = [], dict[int, list[Operation]](), 0
     feeds: dict[Feed | None, int] = {}
     feed_of: list[IntArray] = []
     for item in move_runs(job):
         if not isinstance(item, MoveRun):
-            before.setdefault(count, []).append(item)
+            operations_before.setdefault(count, []).append(item)
             continue
         runs.append(item)
         count += len(item)
         if count > _DISTINCT_MOST_MOVES:
             return None
         edges = [*[begin for begin, _ in item.feeds], len(item)]
-        own = [feeds.setdefault(feed, len(feeds)) for _, feed in item.feeds]
-        feed_of.append(np.repeat(own, np.diff(edges)))
+        feed_numbers = [feeds.setdefault(feed, len(feeds)) for _, feed in item.feeds]
+        feed_of.append(np.repeat(feed_numbers, np.diff(edges)))
     if not runs:
         return None
     ends = np.concatenate([np.array([job.start]), *(run.targets for run in runs)])
     kinds: dict[str, int] = {}
-    stands = np.zeros(count, dtype=np.int64)
-    for at, items in before.items():
-        if at < count:
+    operation_before = np.zeros(count, dtype=np.int64)
+    for index, items in operations_before.items():
+        if index < count:
             text = repr([replace(item, source=_NOWHERE) for item in items])
-            stands[at] = 1 + kinds.setdefault(text, len(kinds))
+            operation_before[index] = 1 + kinds.setdefault(text, len(kinds))
     bounded = [machine.axes[axis].kind == "linear" for axis in job.axes]
     columns = [*np.diff(ends, axis=0).T, *ends[:-1, bounded].T]
     code = np.stack(
-        [*(_clustered(column) for column in columns), np.concatenate(feed_of), stands], axis=1
+        [*(_clustered(column) for column in columns), np.concatenate(feed_of), operation_before],
+        axis=1,
     )
-    return _Moves(ends, code, tuple(runs), before)
+    return _Moves(ends, code, tuple(runs), operations_before)
 
 
 def _clustered(values: FloatArray) -> IntArray:
@@ -275,72 +280,72 @@ def _clustered(values: FloatArray) -> IntArray:
     group = np.cumsum(gap)
     # A chain of near values may be long, so it is split by value.
     first = ascending[np.flatnonzero(np.concatenate([[True], gap[1:]]))]
-    place = np.floor((ascending - first[group]) / (4.0 * _NEAR)).astype(np.int64)
-    number = np.cumsum(gap | (np.diff(place, prepend=0) != 0))
-    found = np.empty(len(values), dtype=np.int64)
-    found[order] = number
-    return found
+    bin_number = np.floor((ascending - first[group]) / (4.0 * _NEAR)).astype(np.int64)
+    number = np.cumsum(gap | (np.diff(bin_number, prepend=0) != 0))
+    numbers = np.empty(len(values), dtype=np.int64)
+    numbers[order] = number
+    return numbers
 
 
 def _beside(job: Job, machine: Machine, count: int) -> int:
     """Return the number of moves on either side that form a move's surroundings."""
-    took_s: list[FloatArray] = []
+    block_times_s: list[FloatArray] = []
     for block in programmed_path(job, machine):
-        took_s.append(block.nominal_s[block.nominal_s > 0.0])
-    every = np.concatenate(took_s) if took_s else np.zeros(0)
-    typical_s = float(np.median(every)) if len(every) else _BESIDE_S
+        block_times_s.append(block.nominal_s[block.nominal_s > 0.0])
+    times_s = np.concatenate(block_times_s) if block_times_s else np.zeros(0)
+    typical_s = float(np.median(times_s)) if len(times_s) else _BESIDE_S
     return int(np.clip(np.ceil(_BESIDE_S / typical_s), _LEAST, min(_MOST, max(count // 4, 1))))
 
 
 def _new(code: IntArray, beside: int) -> NDArray[np.bool_]:
     """Return (n,) whether the surroundings of a move occur for the first time."""
     with np.errstate(over="ignore"):
-        own = np.zeros(len(code), dtype=np.uint64)
+        hashes = np.zeros(len(code), dtype=np.uint64)
         for column in code.T:
-            own = (own ^ (column.astype(np.uint64) + _FACTOR)) * _FACTOR
-            own ^= own >> np.uint64(29)
+            hashes = (hashes ^ (column.astype(np.uint64) + _FACTOR)) * _FACTOR
+            hashes ^= hashes >> np.uint64(29)
         # Positions beyond the ends of the job get codes of their own, which occur only once.
-        outer = np.arange(1, beside + 1, dtype=np.uint64)
-        long = np.concatenate([outer, own, outer + np.uint64(beside)])
-        around = np.zeros(len(code), dtype=np.uint64)
+        padding = np.arange(1, beside + 1, dtype=np.uint64)
+        padded = np.concatenate([padding, hashes, padding + np.uint64(beside)])
+        window_hashes = np.zeros(len(code), dtype=np.uint64)
         for shift in range(2 * beside + 1):
-            around = around * _FACTOR + long[shift : shift + len(code)]
-            around ^= around >> np.uint64(31)
-    _, first = np.unique(around, return_index=True)
+            window_hashes = window_hashes * _FACTOR + padded[shift : shift + len(code)]
+            window_hashes ^= window_hashes >> np.uint64(31)
+    _, first_indices = np.unique(window_hashes, return_index=True)
     new = np.zeros(len(code), dtype=bool)
-    new[first] = True
+    new[first_indices] = True
     return new
 
 
 def _dilated(new: NDArray[np.bool_], beside: int) -> NDArray[np.bool_]:
     """Return (n,) whether a move is new or within ``beside`` of a new move."""
     count = np.concatenate([[0], np.cumsum(new)])
-    at = np.arange(len(new))
-    low, high = np.maximum(at - beside, 0), np.minimum(at + beside + 1, len(new))
+    index = np.arange(len(new))
+    low, high = np.maximum(index - beside, 0), np.minimum(index + beside + 1, len(new))
     return np.asarray(count[high] > count[low])
 
 
 def _part(read: _Moves, first: int, stop: int) -> Iterator[Operation | MoveRun]:
     """Yield the moves from ``first`` up to ``stop``, with the operations between them."""
-    at = 0
+    run_begin = 0
     for run in read.moves:
-        begin, end = max(first - at, 0), min(stop - at, len(run))
+        begin, end = max(first - run_begin, 0), min(stop - run_begin, len(run))
         if begin < end:
-            if at > first:
-                yield from read.before.get(at, ())
+            if run_begin > first:
+                yield from read.before.get(run_begin, ())
             yield _cut(run, begin, end)
-        at += len(run)
+        run_begin += len(run)
 
 
 def _cut(run: MoveRun, begin: int, end: int) -> MoveRun:
     """Return the moves of a run from ``begin`` up to ``end``."""
     feeds = [(max(at - begin, 0), feed) for at, feed in run.feeds if at < end]
-    ahead = [index for index, (at, _) in enumerate(feeds) if at == 0][-1]
+    in_force = [index for index, (at, _) in enumerate(feeds) if at == 0][-1]
     return replace(
         run,
         targets=run.targets[begin:end],
         line=run.line[begin:end],
-        feeds=tuple(feeds[ahead:]),
+        feeds=tuple(feeds[in_force:]),
         columns={name: column[begin:end] for name, column in run.columns.items()},
         acts=tuple((at - begin, acts) for at, acts in run.acts if begin <= at < end),
     )

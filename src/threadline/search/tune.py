@@ -144,10 +144,10 @@ def _tuned_axis(machine: Machine, loop: Loop, wanted: Wanted) -> TunedAxis:
             left_out.append(f"{NAMES[kind]}, {rule}: {error.message}")
 
     name = machine.axes[axis].controller
-    own = next((one for one in CONTROLLERS if one == machine.controllers[name].kind), None)
-    if own is not None:
-        numbers = {k: number_at(machine, f"controllers.{name}.{k}").si for k in NUMBERS[own]}
-        found.append((own, "file", numbers))
+    file_kind = next((one for one in CONTROLLERS if one == machine.controllers[name].kind), None)
+    if file_kind is not None:
+        numbers = {k: number_at(machine, f"controllers.{name}.{k}").si for k in NUMBERS[file_kind]}
+        found.append((file_kind, "file", numbers))
     margin, crossover = wanted.phase_margin_deg, wanted.crossover_hz
     for kind in CONTROLLERS:
         tried(kind, "margin", partial(design, machine, loop, kind, margin, crossover))
@@ -166,11 +166,11 @@ def _tuned_axis(machine: Machine, loop: Loop, wanted: Wanted) -> TunedAxis:
     if by_margin is not None:
         tried("pd", "settling", partial(_fastest_settling, machine, axis, by_margin))
     spread = spread_of(machine, axis)
-    made = []
+    tuned_loops = []
     for kind, rule, gains in found:
         closed = axis_loop(with_controller(machine, axis, kind, gains), axis)
         figures = loop_figures(closed, "sampled")
-        made.append(
+        tuned_loops.append(
             TunedLoop(
                 axis=axis,
                 kind=kind,
@@ -181,16 +181,20 @@ def _tuned_axis(machine: Machine, loop: Loop, wanted: Wanted) -> TunedAxis:
                 step=_step(closed, figures) if figures.stable else None,
             )
         )
-    smooth = None if limit is None else _smooth_kp(machine, axis, limit.kp)
+    smooth_kp = None if limit is None else _smooth_kp(machine, axis, limit.kp)
     return TunedAxis(
-        axis=axis, limit=limit, smooth_kp=smooth, loops=tuple(made), left_out=tuple(left_out)
+        axis=axis,
+        limit=limit,
+        smooth_kp=smooth_kp,
+        loops=tuple(tuned_loops),
+        left_out=tuple(left_out),
     )
 
 
 def _step(loop: Loop, figures: LoopFigures) -> Step | None:
     crossovers = [one.omega_rad_s for one in figures.margins.gain_crossovers]
-    slow = min(crossovers, default=math.inf)
-    return step_response(loop, "load", max(_STEP_RAD / slow, _STEP_LEAST_S))
+    lowest_rad_s = min(crossovers, default=math.inf)
+    return step_response(loop, "load", max(_STEP_RAD / lowest_rad_s, _STEP_LEAST_S))
 
 
 def _smooth_kp(machine: Machine, axis: str, ultimate_kp: float) -> float | None:
@@ -210,9 +214,9 @@ def _smooth_kp(machine: Machine, axis: str, ultimate_kp: float) -> float | None:
 def _overshoot(machine: Machine, axis: str, kp: float) -> float:
     loop = axis_loop(with_controller(machine, axis, "p", {"kp": kp}), axis)
     # A slow loop is an integrator, whose crossover is its gain.
-    omega = np.array([1e-3])
-    slow = float(np.abs(loop.response(omega))[0]) * 1e-3
-    step = step_response(loop, "load", max(_STEP_RAD / slow, _STEP_LEAST_S))
+    omega_rad_s = np.array([1e-3])
+    crossover_rad_s = float(np.abs(loop.response(omega_rad_s))[0]) * 1e-3
+    step = step_response(loop, "load", max(_STEP_RAD / crossover_rad_s, _STEP_LEAST_S))
     return math.inf if step is None else step.overshoot
 
 
@@ -229,7 +233,7 @@ def _fastest_settling(machine: Machine, axis: str, start: Mapping[str, float]) -
         gains = {"kp": math.exp(x[0]), "kd": math.exp(x[1])}
         L = plant.response * plant.controller("pd", gains)
         margins = grid_margins(L, plant.omega_rad_s)
-        lacking = max(_MODULUS - float(margins.modulus[0]), 0.0)
+        modulus_shortfall = max(_MODULUS - float(margins.modulus[0]), 0.0)
         crossover = float(margins.crossover_rad_s[0])
         loop = axis_loop(with_controller(machine, axis, "pd", gains), axis)
         if crossover == 0.0 or margins.gain_factor[0] <= 1.0 or margins.phase_deg[0] <= 0.0:
@@ -237,40 +241,40 @@ def _fastest_settling(machine: Machine, axis: str, start: Mapping[str, float]) -
         step = step_response(loop, "load", max(_STEP_RAD / crossover, _STEP_LEAST_S))
         if step is None:
             return 1e3
-        much = max(step.overshoot - _OVERSHOOT, 0.0)
-        return step.settling_s * (1.0 + 20.0 * much + 20.0 * lacking)
+        excess_overshoot = max(step.overshoot - _OVERSHOOT, 0.0)
+        return step.settling_s * (1.0 + 20.0 * excess_overshoot + 20.0 * modulus_shortfall)
 
     first = np.log([start["kp"], max(start["kd"], 1e-3 * start["kp"])])
     simplex = first + np.array([[0.0, 0.0], [-0.5, 0.0], [0.0, -0.7]])
-    found = minimize(
+    solution = minimize(
         cost,
         first,
         method="Nelder-Mead",
         options={"maxfev": _TRIES, "initial_simplex": simplex, "xatol": 0.01, "fatol": 1e-5},
     )
-    if found.fun >= 1e3:
+    if solution.fun >= 1e3:
         raise OptionError("no Kp and Kd near the design by margins settle")
-    return {"kp": float(np.exp(found.x[0])), "kd": float(np.exp(found.x[1]))}
+    return {"kp": float(np.exp(solution.x[0])), "kd": float(np.exp(solution.x[1]))}
 
 
 def _job_runs(tuning: Tuning, job: Path, spec: Spec | None) -> list[JobRun]:
     rows = [(loop.kind, loop.rule) for loop in tuning.axes[0].loops]
     for axis in tuning.axes[1:]:
-        there = {(loop.kind, loop.rule) for loop in axis.loops}
-        rows = [row for row in rows if row in there]
-    found = []
+        loops_there = {(loop.kind, loop.rule) for loop in axis.loops}
+        rows = [row for row in rows if row in loops_there]
+    job_runs = []
     for kind, rule in rows:
         machine = tuning.tuned(kind, rule)
-        judged = load_spec(None, machine) if spec is None else spec
+        used_spec = load_spec(None, machine) if spec is None else spec
         try:
-            verdict = prove(job, machine, judged, options_of()).verdict
+            verdict = prove(job, machine, used_spec, options_of()).verdict
         except PlanError as error:
             if all(axis.loop(kind, rule).figures.stable for axis in tuning.axes):
                 raise
             del error
             verdict = None
-        found.append(JobRun(job=job.name, kind=kind, rule=rule, verdict=verdict))
-    return found
+        job_runs.append(JobRun(job=job.name, kind=kind, rule=rule, verdict=verdict))
+    return job_runs
 
 
 def wanted_tuning(machine: Machine, axis: str | None, margin: str, crossover: str | None) -> Wanted:
@@ -281,11 +285,11 @@ def wanted_tuning(machine: Machine, axis: str | None, margin: str, crossover: st
     OptionError
         If there is no such axis with a loop, or a text is no angle or no frequency.
     """
-    closed = [name for name, one in machine.axes.items() if one.controller]
-    if axis is not None and axis not in closed:
+    controlled_axes = [name for name, one in machine.axes.items() if one.controller]
+    if axis is not None and axis not in controlled_axes:
         raise OptionError(
             f"machine {machine.name!r} has no axis {axis[:20]!r} with a control loop",
-            remedy=f"It has: {', '.join(closed) or 'none'}.",
+            remedy=f"It has: {', '.join(controlled_axes) or 'none'}.",
         )
     return Wanted(
         phase_margin_deg=math.degrees(parse_number("margin", margin, "rad", "60 deg")),
@@ -298,10 +302,10 @@ def wanted_tuning(machine: Machine, axis: str | None, margin: str, crossover: st
 
 def usual_controller(machine: Machine) -> ControllerKind:
     """Return the kind of controller of the first axis, ``pd`` where it has none of the five."""
-    for one in machine.axes.values():
-        if one.controller:
-            own = machine.controllers[one.controller].kind
-            return next((kind for kind in CONTROLLERS if kind == own), "pd")
+    for axis in machine.axes.values():
+        if axis.controller:
+            own_kind = machine.controllers[axis.controller].kind
+            return next((kind for kind in CONTROLLERS if kind == own_kind), "pd")
     return "pd"
 
 
@@ -351,17 +355,19 @@ def tuned_toml(tuning: Tuning, kind: ControllerKind, rule: Rule, folder: Path) -
         f"title = {toml_string(ascii_only(machine.title) + ', tuned')}",
     ]
     for axis in tuning.axes:
-        one = axis.loop(kind, rule)
+        loop = axis.loop(kind, rule)
         name = machine.axes[axis.axis].controller
-        own = machine.controllers[name].kind
+        old_kind = machine.controllers[name].kind
         lines += ["", f"[controllers.{name}]", f"kind = {toml_string(kind)}"]
         for key in NUMBERS[kind]:
             unit = "" if key in {"zero", "pole"} else " dac/count"
             lines.append(
-                f'{key} = "{one.gains[key]:.6g}{unit} exact, checked: threadline tune, {rule}"'
+                f'{key} = "{loop.gains[key]:.6g}{unit} exact, checked: threadline tune, {rule}"'
             )
-        left = {k for one in CONTROLLERS if one == own for k in NUMBERS[one]} - {*NUMBERS[kind]}
-        lines += [f'{key} = "none"' for key in sorted(left)]
+        unused_numbers = {k for loop in CONTROLLERS if loop == old_kind for k in NUMBERS[loop]} - {
+            *NUMBERS[kind]
+        }
+        lines += [f'{key} = "none"' for key in sorted(unused_numbers)]
     return "\n".join(lines) + "\n"
 
 

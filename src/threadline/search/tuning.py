@@ -65,13 +65,13 @@ class TunedLoop:
     def content(self) -> dict[str, Any]:
         """Return the loop as JSON content."""
         figures = self.figures.as_json()
-        kept = ("stable", "bandwidth_hz", "gain_margin", "phase_margin_deg", "crossover_hz",
+        shown_keys = ("stable", "bandwidth_hz", "gain_margin", "phase_margin_deg", "crossover_hz",
                 "modulus_margin")  # fmt: skip
         return {
             "controller": self.kind,
             "rule": self.rule,
             "gains": dict(self.gains),
-            **{key: figures[key] for key in kept},
+            **{key: figures[key] for key in shown_keys},
             "over_tolerances": {
                 "stable": self.worst.stable,
                 "phase_margin_deg": self.worst.phase_margin_deg,
@@ -118,9 +118,9 @@ class TunedAxis:
         for one in self.loops:
             if (one.kind, one.rule) == (kind, rule):
                 return one
-        there = ", ".join(f"{one.kind} by {one.rule}" for one in self.loops)
+        loops_there = ", ".join(f"{one.kind} by {one.rule}" for one in self.loops)
         raise OptionError(
-            f"axis {self.axis} has no controller {kind} by {rule}", remedy=f"It has: {there}."
+            f"axis {self.axis} has no controller {kind} by {rule}", remedy=f"It has: {loops_there}."
         )
 
 
@@ -179,22 +179,22 @@ class Tuning(Summarised):
         OptionError
             If an axis has no such controller.
         """
-        made = self.machine
+        machine = self.machine
         for axis in self.axes:
-            one = axis.loop(kind, rule)
-            made = with_controller(made, axis.axis, kind, one.gains)
-        return made
+            loop = axis.loop(kind, rule)
+            machine = with_controller(machine, axis.axis, kind, loop.gains)
+        return machine
 
     def _summary(self) -> Summary:
         rows = []
         for axis in self.axes:
-            for one in axis.loops:
-                figures = one.figures.as_json()
+            for loop in axis.loops:
+                figures = loop.figures.as_json()
                 cells = [figures[key] for key in ("crossover_hz", "phase_margin_deg")]
-                gains = " ".join(f"{key} {value:.4g}" for key, value in one.gains.items())
+                gains = " ".join(f"{key} {value:.4g}" for key, value in loop.gains.items())
                 shown = ["-" if cell is None else f"{cell:.1f}" for cell in cells]
-                stable = "stable" if one.figures.stable else "unstable"
-                rows.append([axis.axis, one.name, gains, *shown, stable])
+                stable = "stable" if loop.figures.stable else "unstable"
+                rows.append([axis.axis, loop.name, gains, *shown, stable])
         header = ["axis", "controller", "gains", "crossover Hz", "phase margin deg", "loop"]
         return Summary(f"Controllers of {self.machine.name}", header, rows)
 

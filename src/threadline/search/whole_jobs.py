@@ -52,18 +52,22 @@ def judged_whole(best: Rung, rungs: dict[float, Rung], question: Question, most:
     the tolerances, every share that may be the answer is tried. The results replace the entries of
     ``rungs``.
     """
-    over = question.options.product is not None and question.trials.machines > 0
-    found, shortest_s = [best], math.inf
+    over_machines = question.options.product is not None and question.trials.machines > 0
+    results, shortest_s = [best], math.inf
     for rung in sorted(rungs.values(), key=in_order)[:most]:
         if rung.duration_s is None or rung.duration_s >= shortest_s:
             break
-        one = _over_machines(rung, question, shortest_s) if over else _of_whole(rung, question)
-        rungs[rung.share] = one
-        found = [one] if rung is best else [*found, one]
-        shortest_s = min(shortest_s, math.inf if one.duration_s is None else one.duration_s)
-        if one.found.fixed or (shortest_s < math.inf and not over):
+        result = (
+            _over_machines(rung, question, shortest_s)
+            if over_machines
+            else _of_whole(rung, question)
+        )
+        rungs[rung.share] = result
+        results = [result] if rung is best else [*results, result]
+        shortest_s = min(shortest_s, math.inf if result.duration_s is None else result.duration_s)
+        if result.found.fixed or (shortest_s < math.inf and not over_machines):
             break
-    return min(found, key=in_order)
+    return min(results, key=in_order)
 
 
 def with_searched_best(
@@ -83,12 +87,12 @@ def with_searched_best(
         Verdicts by feed, for each share. None: only the best feed of the best result is searched,
         because the other feeds were judged by parts of the job, or by one run.
     """
-    done: set[float] = set()
+    searched_shares: set[float] = set()
     if not question.searches or (question.until is not None and question.until.ended):
         return best
     with until_deadline(question.until, lambda: rungs):
-        while best.duration_s is not None and best.share not in done:
-            done.add(best.share)
+        while best.duration_s is not None and best.share not in searched_shares:
+            searched_shares.add(best.share)
             best = rungs[best.share] = _with_searched(best, question, seen)
             if seen is not None:
                 best = min(rungs.values(), key=in_order)
@@ -98,23 +102,23 @@ def with_searched_best(
 def _with_searched(
     best: Rung, question: Question, seen: Mapping[float, Mapping[float, Verdict]] | None
 ) -> Rung:
-    known = {} if seen is None else seen.get(best.share, {})
+    known_verdicts = {} if seen is None else seen.get(best.share, {})
 
     def judged(feed: float) -> Verdict:
-        if feed in known:
-            return known[feed]
+        if feed in known_verdicts:
+            return known_verdicts[feed]
         return question.judged(planned_at(question, best.share, feed))
 
     def searched(feed: float, verdict: Verdict) -> Verdict:
         return question.searched(planned_at(question, best.share, feed), verdict)
 
-    found = with_searched_edges(
+    fastest = with_searched_edges(
         best.found, judged, searched, until=question.until, best_alone=seen is None
     )
-    if found.best is None or found.best == best.found.best:
-        return replace(best, found=found, duration_s=best.duration_s if found.best else None)
-    plan = planned_at(question, best.share, found.best)
-    return replace(best, found=found, duration_s=plan.duration_s)
+    if fastest.best is None or fastest.best == best.found.best:
+        return replace(best, found=fastest, duration_s=best.duration_s if fastest.best else None)
+    plan = planned_at(question, best.share, fastest.best)
+    return replace(best, found=fastest, duration_s=plan.duration_s)
 
 
 def in_order(rung: Rung) -> tuple[float, tuple[bool, float]]:
@@ -156,25 +160,25 @@ def _over_machines(best: Rung, question: Question, shortest_s: float) -> Rung:
     screening = replace(question, trials=replace(question.trials, repeats=1))
     feed: float | None = interval.high
     verdict = best.found.verdict
-    first: tuple[str, float, float] | None = None
+    first_worst: tuple[str, float, float] | None = None
     for _ in range(_OVER_MACHINES):
         if feed is None:
             break
         plan = planned_at(question, best.share, feed)
-        lasts_s = plan.duration_s
-        if lasts_s >= shortest_s:
+        duration_s = plan.duration_s
+        if duration_s >= shortest_s:
             break
         verdict = screening.judged(plan)
         if verdict.passed:
             verdict = question.judged(plan)
         if verdict.passed:
-            return _passed(best, feed, verdict, lasts_s)
-        worst = worst_criterion(verdict)[0], used(verdict), lasts_s
-        first = first or worst
-        if lasts_s >= _SLOWED * first[2] and _same(worst[:2], first[:2]):
+            return _passed(best, feed, verdict, duration_s)
+        worst = worst_criterion(verdict)[0], used(verdict), duration_s
+        first_worst = first_worst or worst
+        if duration_s >= _SLOWED * first_worst[2] and _same(worst[:2], first_worst[:2]):
             return _failed(best, verdict, fixed=worst[0])
-        slower = min(max((worst[1] or _UNKNOWN) ** _POWER, _LEAST_SLOWER), _MOST_SLOWER)
-        feed = _slower(question, best.share, feed, slower * lasts_s)
+        slowdown = min(max((worst[1] or _UNKNOWN) ** _POWER, _LEAST_SLOWER), _MOST_SLOWER)
+        feed = _slower(question, best.share, feed, slowdown * duration_s)
     return _failed(best, verdict)
 
 
@@ -206,17 +210,17 @@ def _same(worst: tuple[str, float], first: tuple[str, float]) -> bool:
 def _passed(best: Rung, feed: float, verdict: Verdict, duration_s: float) -> Rung:
     interval = best.found.fastest
     assert interval is not None
-    kept = best.found.intervals
+    intervals = best.found.intervals
     if feed < interval.high:
         # Higher feeds passed only for parts of the job or on the file's machine, not for the whole
         # job.
-        own = Interval(low=min(interval.low, feed), high=feed)
-        kept = (own, *(i for i in kept if i.high < own.low))
-    found = replace(best.found, intervals=kept, verdict=verdict)
-    return replace(best, found=found, duration_s=duration_s)
+        passing = Interval(low=min(interval.low, feed), high=feed)
+        intervals = (passing, *(i for i in intervals if i.high < passing.low))
+    fastest = replace(best.found, intervals=intervals, verdict=verdict)
+    return replace(best, found=fastest, duration_s=duration_s)
 
 
 def _failed(best: Rung, verdict: Verdict, fixed: str = "") -> Rung:
     limited_by = worst_criterion(verdict)[0]
-    found = replace(best.found, intervals=(), verdict=verdict, limited_by=limited_by, fixed=fixed)
-    return replace(best, found=found, duration_s=None)
+    fastest = replace(best.found, intervals=(), verdict=verdict, limited_by=limited_by, fixed=fixed)
+    return replace(best, found=fastest, duration_s=None)

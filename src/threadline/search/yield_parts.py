@@ -101,13 +101,13 @@ def parse_part(text: str) -> Part:
     OptionError
         If it is not a part, or its number is not from 1 to the number of parts.
     """
-    found = _PART.fullmatch(text.strip())
-    if found is None:
+    match = _PART.fullmatch(text.strip())
+    if match is None:
         raise OptionError(
             f"--part {text[:40]!r} is not the number of a part and the number of parts",
             remedy='Write it like "3/16".',
         )
-    number, count = int(found[1]), int(found[2])
+    number, count = int(match[1]), int(match[2])
     if not 1 <= number <= count:
         raise OptionError(
             f"--part {text[:40]!r}: the number of the part must be from 1 to the number of parts",
@@ -141,13 +141,20 @@ class Record:
     def differences(self, other: Record) -> list[str]:
         """Return the names of the entries that differ from another part's."""
         names = dict.fromkeys([*other.identity, *self.identity])
-        found = [name for name in names if self.identity.get(name) != other.identity.get(name)]
+        differing = [name for name in names if self.identity.get(name) != other.identity.get(name)]
         counts = {
             "seed": (self.seed, other.seed),
             "number of machines": (self.variants, other.variants),
             "number of parts": (self.part.count, other.part.count),
         }
-        return [*found, *(name for name, (one, two) in counts.items() if one != two)]
+        return [
+            *differing,
+            *(
+                name
+                for name, (own_count, other_count) in counts.items()
+                if own_count != other_count
+            ),
+        ]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -204,9 +211,9 @@ def write_part(path: Path, record: Record, found: EachRun) -> None:
     first = record.part.machines(record.variants).start
     with staged_file(path) as file:
         file.write(line_of(head))
-        for at in range(0, found.runs, AT_ONCE):
-            some = found.taken(np.arange(at, min(at + AT_ONCE, found.runs)))
-            file.write(line_of(content_of_runs(some, first + at)))
+        for first_index in range(0, found.runs, AT_ONCE):
+            batch = found.taken(np.arange(first_index, min(first_index + AT_ONCE, found.runs)))
+            file.write(line_of(content_of_runs(batch, first + first_index)))
         file.flush()
         os.fsync(file.fileno())
 
@@ -223,23 +230,23 @@ def read_part(path: Path) -> PartFile:
     """
     refuse_special(path)
     lines = Lines(path, "a part of a yield", _AGAIN)
-    found: list[EachRun] = []
+    batches: list[EachRun] = []
     with path.open("rb") as file:
         record = _record(lines.content(file.readline(MOST_LINE), 1), lines)
         machines = record.part.machines(record.variants)
-        at, line = machines.start, 1
+        next_machine, line = machines.start, 1
         while text := file.readline(MOST_LINE):
             line += 1
             if not text.endswith(b"\n"):
                 lines.refuse("its last line is cut short", line)
-            found.append(lines.judged(lines.content(text, line), at, line))
-            if not same_rows(found[-1], found[0]):
+            batches.append(lines.judged(lines.content(text, line), next_machine, line))
+            if not same_rows(batches[-1], batches[0]):
                 lines.refuse("it has other criteria than the lines before it", line)
-            at += found[-1].runs
-    if at != machines.stop:
-        has = f"it has {at - machines.start} of its {len(machines)} machines"
-        lines.refuse(f"{has}: it is cut short", line)
-    return PartFile(path=path, record=record, found=EachRun.joined(found))
+            next_machine += batches[-1].runs
+    if next_machine != machines.stop:
+        held_words = f"it has {next_machine - machines.start} of its {len(machines)} machines"
+        lines.refuse(f"{held_words}: it is cut short", line)
+    return PartFile(path=path, record=record, found=EachRun.joined(batches))
 
 
 def _record(content: Mapping[str, Any], lines: Lines) -> Record:
@@ -296,27 +303,27 @@ def in_order(parts: Sequence[OnePartT]) -> list[OnePartT]:
     OptionError
         If a part is missing, or is there twice.
     """
-    known: dict[int, OnePartT] = {}
-    for one in parts:
-        number = one.record.part.number
-        if number in known:
+    by_number: dict[int, OnePartT] = {}
+    for part in parts:
+        number = part.record.part.number
+        if number in by_number:
             raise OptionError(
-                f"part {one.record.part} is there twice: {str(known[number].path)!r} and "
-                f"{str(one.path)!r}",
+                f"part {part.record.part} is there twice: {str(by_number[number].path)!r} and "
+                f"{str(part.path)!r}",
                 remedy="Give each part once.",
             )
-        known[number] = one
+        by_number[number] = part
     count = parts[0].record.part.count
-    if len(known) < count:
-        missing = count - len(known)
-        found = (k for k in range(1, count + 1) if k not in known)
-        named = ", ".join(str(k) for k, _ in zip(found, range(_NAMED), strict=False))
-        more = f" and {missing - _NAMED} more" if missing > _NAMED else ""
+    if len(by_number) < count:
+        missing = count - len(by_number)
+        missing_numbers = (k for k in range(1, count + 1) if k not in by_number)
+        named = ", ".join(str(k) for k, _ in zip(missing_numbers, range(_NAMED), strict=False))
+        further = f" and {missing - _NAMED} more" if missing > _NAMED else ""
         raise OptionError(
-            f"{missing} of {count} parts missing: {named}{more}",
+            f"{missing} of {count} parts missing: {named}{further}",
             remedy="Make them, and give the files of all parts.",
         )
-    return [known[number] for number in sorted(known)]
+    return [by_number[number] for number in sorted(by_number)]
 
 
 def check_same(one: PartFile, record: Record, than: str) -> None:

@@ -95,8 +95,8 @@ class Lines:
         try:
             rows = tuple(_unpacked(row, k, runs) for k, row in enumerate(content["rows"]))
         except NOT_AS_WRITTEN as error:
-            why = f": {error}" if type(error) is ValueError else ""
-            self.refuse(f"it was changed{why}", line)
+            reason = f": {error}" if type(error) is ValueError else ""
+            self.refuse(f"it was changed{reason}", line)
         if not isinstance(incomplete, str) or not rows:
             self.refuse("it was changed", line)
         return EachRun(rows=rows, runs=runs, incomplete=incomplete)
@@ -216,35 +216,35 @@ class YieldState:
             ) from error
 
     def _read(self, identity: Mapping[str, str]) -> None:
-        found: list[EachRun] = []
+        batches: list[EachRun] = []
         file = self._file
         file.seek(0)
         head = self._lines.content(file.readline(MOST_LINE), 1)
         if head.get("format") != FORMAT:
             self._lines.refuse("it is not the state of a yield of this version", 1)
         self._check_identity(head.get("identity"), identity)
-        good, line = file.tell(), 1
+        good_end, line = file.tell(), 1
         while text := file.readline(MOST_LINE):
             line += 1
             if not text.endswith(b"\n") and not file.read(1):
                 self.cut = True
                 break
-            at = sum(part.runs for part in found)
-            found.append(self._lines.judged(self._lines.content(text, line), at, line))
-            if not same_rows(found[-1], found[0]):
+            first_index = sum(part.runs for part in batches)
+            batches.append(self._lines.judged(self._lines.content(text, line), first_index, line))
+            if not same_rows(batches[-1], batches[0]):
                 self._lines.refuse("it has other criteria than the lines before it", line)
-            good = file.tell()
+            good_end = file.tell()
         if self.cut:
-            file.truncate(good)
-        self._known = found
+            file.truncate(good_end)
+        self._known = batches
 
     def _check_identity(self, stated: Any, identity: Mapping[str, str]) -> None:
-        known = stated if isinstance(stated, dict) else {}
-        names = [*identity, *(name for name in known if name not in identity)]
-        other = [str(name) for name in names if known.get(name) != identity.get(name)]
-        if other:
+        stated_identity = stated if isinstance(stated, dict) else {}
+        names = [*identity, *(name for name in stated_identity if name not in identity)]
+        differing = [str(name) for name in names if stated_identity.get(name) != identity.get(name)]
+        if differing:
             raise OptionError(
-                f"{str(self._path)!r} was begun with another {', '.join(other)}",
+                f"{str(self._path)!r} was begun with another {', '.join(differing)}",
                 remedy=_REMEDY,
             )
 
@@ -268,10 +268,10 @@ def same_rows(one: EachRun, other: EachRun) -> bool:
 
 def same_first(known: EachRun, found: EachRun) -> bool:
     """Return whether the first machine has the same result in both, to the bit."""
-    stated, now = (
+    known_rows, found_rows = (
         [(*_table(row), row.values[:1].tobytes()) for row in one.rows] for one in (known, found)
     )
-    return stated == now
+    return known_rows == found_rows
 
 
 def _table(row: CriterionRow) -> tuple[Any, ...]:

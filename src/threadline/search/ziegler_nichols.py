@@ -96,12 +96,12 @@ class ReactionCurve:
 def _discrete(
     kind: ControllerKind, kp: float, integral_s: float, differential_s: float, tick_s: float
 ) -> dict[str, float]:
-    found = {"kp": kp}
+    gains = {"kp": kp}
     if kind in {"pi", "pid"}:
-        found["ki"] = kp * tick_s / integral_s
+        gains["ki"] = kp * tick_s / integral_s
     if kind == "pid":
-        found["kd"] = kp * differential_s / tick_s
-    return found
+        gains["kd"] = kp * differential_s / tick_s
+    return gains
 
 
 def foreseen_ultimate(machine: Machine, axis: str) -> Ultimate:
@@ -135,15 +135,15 @@ def ultimate(machine: Machine, axis: str) -> Ultimate:
         If no gain brings the loop to its limit, in the model or on the twin.
     """
     guess = foreseen_ultimate(machine, axis)
-    made = with_controller(machine, axis, "p", {"kp": guess.kp})
+    p_machine = with_controller(machine, axis, "p", {"kp": guess.kp})
     name = machine.axes[axis].controller
     tick_s = float(machine.tick_clock.period_s)
     position = np.ones(max(int(np.ceil(_SWINGS * guess.period_s / tick_s)), 400), dtype=np.int64)
-    commands = _table(made, axis, position)
+    commands = _table(p_machine, axis, position)
     low, high = 0.4 * guess.kp, 1.9 * guess.kp
     for _ in range(_ROUNDS):
         gains = np.geomspace(low, high, _GAINS)
-        runs = _runs(commands, made, {f"controllers.{name}.kp": gains}, axis)
+        runs = _runs(commands, p_machine, {f"controllers.{name}.kp": gains}, axis)
         grows = _growth(runs) > 0.0
         if grows.all() or not grows.any():
             raise MachineError(
@@ -152,17 +152,17 @@ def ultimate(machine: Machine, axis: str) -> Ultimate:
                 place=machine.place,
                 remedy="Friction or play may hold the axis; tune it by its margins.",
             )
-        first = int(np.argmax(grows))
-        low, high = float(gains[max(first - 1, 0)]), float(gains[first])
+        first_growing = int(np.argmax(grows))
+        low, high = float(gains[max(first_growing - 1, 0)]), float(gains[first_growing])
     kp = float(np.sqrt(low * high))
-    (run,) = _runs(commands, made, {f"controllers.{name}.kp": np.array([kp])}, axis).T
+    (run,) = _runs(commands, p_machine, {f"controllers.{name}.kp": np.array([kp])}, axis).T
     return Ultimate(kp=kp, period_s=_period(run, tick_s))
 
 
 def _runs(
     commands: TickTable, machine: Machine, numbers: Mapping[str, FloatArray], axis: str
 ) -> FloatArray:
-    found = simulate_batch(
+    batch = simulate_batch(
         commands,
         machine,
         numbers,
@@ -171,7 +171,7 @@ def _runs(
         watch_current=False,
         quantised=False,
     )
-    return found.samples[f"{axis}.measured"]
+    return batch.samples[f"{axis}.measured"]
 
 
 def _growth(runs: FloatArray) -> FloatArray:
@@ -181,20 +181,20 @@ def _growth(runs: FloatArray) -> FloatArray:
     """
     length = len(runs)
     parts = [runs[int(a * length) : int(b * length)] for a, b in ((0.4, 0.6), (0.8, 1.0))]
-    early, late = (np.ptp(part, axis=0) for part in parts)
+    early_range, late_range = (np.ptp(part, axis=0) for part in parts)
     with np.errstate(divide="ignore", invalid="ignore"):
-        growth = np.log(late / early)
-    growth[late == 0.0] = -np.inf  # the axis has come to rest
+        growth = np.log(late_range / early_range)
+    growth[late_range == 0.0] = -np.inf  # the axis has come to rest
     return np.asarray(np.where(np.isnan(growth), np.inf, growth))
 
 
 def _period(run: FloatArray, tick_s: float) -> float:
     """Return the mean period, s, of the second half of a run, from its upward zero crossings."""
-    half = run[len(run) // 2 :]
-    swing = half - half.mean()
+    second_half = run[len(run) // 2 :]
+    swing = second_half - second_half.mean()
     rising = np.flatnonzero((swing[:-1] < 0.0) & (swing[1:] >= 0.0))
-    at = rising + swing[rising] / (swing[rising] - swing[rising + 1])
-    return float((at[-1] - at[0]) / (len(at) - 1) * tick_s)
+    crossings = rising + swing[rising] / (swing[rising] - swing[rising + 1])
+    return float((crossings[-1] - crossings[0]) / (len(crossings) - 1) * tick_s)
 
 
 def reaction_curve(machine: Machine, axis: str) -> ReactionCurve:
@@ -209,25 +209,25 @@ def reaction_curve(machine: Machine, axis: str) -> ReactionCurve:
     """
     loop = axis_loop(machine, axis)
     poles = np.abs(loop.plant.poles())
-    moving = poles[poles > 1e-6 * max(float(poles.max()), 1.0)]
-    slowest = float(moving.min()) if len(moving) else 1.0
-    made = driven_by_volts(machine, [axis])
-    tick_s = float(made.tick_clock.period_s)
+    moving_poles = poles[poles > 1e-6 * max(float(poles.max()), 1.0)]
+    slowest = float(moving_poles.min()) if len(moving_poles) else 1.0
+    driven_machine = driven_by_volts(machine, [axis])
+    tick_s = float(driven_machine.tick_clock.period_s)
     duration_s = _SLOWEST / slowest + float(loop.delays_s()[loop.index])
     dac = machine.controller_of(axis).dac
-    level = made.controller_of(axis).dac.volt_per_level
+    level = driven_machine.controller_of(axis).dac.volt_per_level
     for halving in range(_HALVINGS):
         volts = _VOLT_SHARE * dac.range.si / 2.0**halving
         position = np.full(max(int(np.ceil(duration_s / tick_s)), 40), round(volts / level))
         runs = simulate_batch(
-            _table(made, axis, position.astype(np.int64)),
-            made,
+            _table(driven_machine, axis, position.astype(np.int64)),
+            driven_machine,
             None,
             settle_s=0.0,
             channels=(f"{axis}.load", f"{axis}.current_peak"),
         )
-        way = runs.samples[f"{axis}.load"][:, 0]
-        if _within(machine, axis, way, runs.samples[f"{axis}.current_peak"][:, 0]):
+        load = runs.samples[f"{axis}.load"][:, 0]
+        if _within_limits(machine, axis, load, runs.samples[f"{axis}.current_peak"][:, 0]):
             break
     else:
         raise MachineError(
@@ -237,18 +237,18 @@ def reaction_curve(machine: Machine, axis: str) -> ReactionCurve:
             remedy="Tune it by its margins.",
         )
     # The voltage of the first row acts from tick 1 on.
-    time_s = (np.arange(len(way)) - 1.0) * tick_s
-    line = time_s > (1.0 - _LINE) * time_s[-1]
-    slope, offset = np.polyfit(time_s[line], way[line] * machine.axes[axis].counts.si, 1)
+    time_s = (np.arange(len(load)) - 1.0) * tick_s
+    is_steady = time_s > (1.0 - _LINE) * time_s[-1]
+    slope, offset = np.polyfit(time_s[is_steady], load[is_steady] * machine.axes[axis].counts.si, 1)
     return ReactionCurve(
         slope=float(slope) / volts * dac.volt_per_level, lag_s=float(-offset / slope)
     )
 
 
-def _within(machine: Machine, axis: str, way: FloatArray, current: FloatArray) -> bool:
+def _within_limits(machine: Machine, axis: str, load: FloatArray, current: FloatArray) -> bool:
     """Return whether a step stays within the travel and below the current limit."""
     travel, limit = machine.axes[axis].travel, machine.drive_of(axis).amplifier.current_limit
-    if travel is not None and np.abs(way).max() > _TRAVEL * (travel[1].si - travel[0].si):
+    if travel is not None and np.abs(load).max() > _TRAVEL * (travel[1].si - travel[0].si):
         return False
     return limit is None or float(np.abs(current).max()) < limit.si * (1.0 - 1e-9)
 

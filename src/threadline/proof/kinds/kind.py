@@ -157,8 +157,8 @@ class Share:
         if self._progress is None:
             return recordings
         return [
-            replace(one, blocks=_Watched(one.blocks, self, number))
-            for number, one in enumerate(recordings, start=before)
+            replace(recording, blocks=_Watched(recording.blocks, self, number))
+            for number, recording in enumerate(recordings, start=before)
         ]
 
     def tell(self, number: int, block: RecordingBlock | None) -> None:
@@ -174,8 +174,8 @@ class Share:
             self._done[number] = min(done_s / max(self._plan.duration_s, 1e-9), 1.0)
         share = sum(self._done) / len(self._done)
         # The plan is measured after its runs: its fibre takes as long as the fibre of a run.
-        over = self._doing == _DOING and share >= 1.0 and block is None
-        self._progress(_MEASURING if over else self._doing, share)
+        all_read = self._doing == _DOING and share >= 1.0 and block is None
+        self._progress(_MEASURING if all_read else self._doing, share)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

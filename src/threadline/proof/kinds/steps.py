@@ -59,11 +59,11 @@ def _plan(job: Job, machine: Machine, options: Options) -> Plan:
             remedy="Give a design such as .dst, or take a machine for such jobs.",
         )
     assert machine.tables is not None
-    named = options.timing.law or machine.tables.law
+    law_name = options.timing.law or machine.tables.law
     stitched = stitch(
         job,
         machine,
-        law_named(named),
+        law_named(law_name),
         options.tolerance_m,
         None if options.feed is None else 1.0 / options.feed.value,
         DEFAULT_ROBUST if options.robust_share is None else options.robust_share,
@@ -96,14 +96,14 @@ def _days(
     """
     machines = [machine]
     machines += [vary(machine, damping=random.uniform(*DAMPING_OF_DAYS)) for _ in range(count - 1)]
-    return [_simulate(commands, one) for one in machines]
+    return [_simulate(commands, varied) for varied in machines]
 
 
-def _on_days(commands: Commands, machine: Machine, places: FloatArray) -> Sequence[Recording]:
+def _on_days(commands: Commands, machine: Machine, fractions: FloatArray) -> Sequence[Recording]:
     """Simulate days with damping at (k, 1) places, from 0 to 1, of the range of +-30 %."""
     return [
         _simulate(commands, vary(machine, damping=factor))
-        for factor in within(DAMPING_OF_DAYS, places[:, 0]).tolist()
+        for factor in within(DAMPING_OF_DAYS, fractions[:, 0]).tolist()
     ]
 
 

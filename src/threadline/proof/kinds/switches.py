@@ -81,14 +81,17 @@ def _days(
         friction, supply = random.uniform(*FRICTION_OF_DAYS), random.uniform(*SUPPLY_OF_DAYS)
         machines.append(vary(machine, friction=friction, supply=supply))
     first, *others = machines
-    return [_simulate(commands, first), *(_with_scans(commands, one, random) for one in others)]
+    return [
+        _simulate(commands, first),
+        *(_with_scans(commands, varied, random) for varied in others),
+    ]
 
 
-def _on_days(commands: Commands, machine: Machine, places: FloatArray) -> Sequence[Recording]:
+def _on_days(commands: Commands, machine: Machine, fractions: FloatArray) -> Sequence[Recording]:
     """Simulate days at (k, 3) places, from 0 to 1: friction, supply, and seed of the jitter."""
-    frictions = within(FRICTION_OF_DAYS, places[:, 0]).tolist()
-    supplies = within(SUPPLY_OF_DAYS, places[:, 1]).tolist()
-    seeds = (places[:, 2] * (1 << 31)).astype(np.int64).tolist()
+    frictions = within(FRICTION_OF_DAYS, fractions[:, 0]).tolist()
+    supplies = within(SUPPLY_OF_DAYS, fractions[:, 1]).tolist()
+    seeds = (fractions[:, 2] * (1 << 31)).astype(np.int64).tolist()
     return [
         _with_scans(commands, vary(machine, friction=f, supply=s), np.random.default_rng(seed))
         for f, s, seed in zip(frictions, supplies, seeds, strict=True)

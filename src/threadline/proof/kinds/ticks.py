@@ -90,11 +90,11 @@ class NeedleColumns:
         period_s = float(self._clock.period_s)
         self._pull(float(self._clock.time_s(first + rows)) + period_s)
         ticks = np.floor(self._down_s / period_s + _SLACK).astype(np.int64)
-        here = ticks < first + rows
-        began_s = np.array([float(self._clock.time_s(tick)) for tick in ticks[here].tolist()])
-        after_s = np.maximum(self._down_s[here] - began_s, 0.0)
-        row = np.maximum(ticks[here] - first, 0)
-        self._down_s = self._down_s[~here]
+        in_block = ticks < first + rows
+        began_s = np.array([float(self._clock.time_s(tick)) for tick in ticks[in_block].tolist()])
+        after_s = np.maximum(self._down_s[in_block] - began_s, 0.0)
+        row = np.maximum(ticks[in_block] - first, 0)
+        self._down_s = self._down_s[~in_block]
         middle_s = (first + np.arange(rows) + 0.5) * period_s
         begun = np.searchsorted(self._begin_s, middle_s, side="right")
         up = begun == np.searchsorted(self._end_s, middle_s, side="left")
@@ -128,10 +128,10 @@ class NeedleColumns:
         for event in block.events:
             if (event.kind, event.name) != ("tool", "trim"):
                 continue
-            rest = events.get(("dwell", event.operation + 1))
-            lasts_s = 0.0 if rest is None else rest.value
-            lasts = max(1, ceil(lasts_s / float(self._clock.period_s) - _SLACK))
-            self._trim_until = event.tick + lasts
+            dwell = events.get(("dwell", event.operation + 1))
+            dwell_s = 0.0 if dwell is None else dwell.value
+            dwell_ticks = max(1, ceil(dwell_s / float(self._clock.period_s) - _SLACK))
+            self._trim_until = event.tick + dwell_ticks
             trims[event.tick - first : max(self._trim_until - first, 0)] = True
         return trims
 
@@ -153,8 +153,8 @@ def _check_product(machine: Machine, product: str | None) -> None:
 
 def _check_options(machine: Machine, options: Options) -> None:
     _check_product(machine, options.product)
-    forward = options.following is Following.LOAD and options.interpolation in USUAL
-    if options.robust_share is not None and not forward:
+    on_chords_by_loads = options.following is Following.LOAD and options.interpolation in USUAL
+    if options.robust_share is not None and not on_chords_by_loads:
         raise OptionError(
             f"--robust '{options.robust_share * 100:g} %' needs feed-forward along the programmed "
             "chords and times",
@@ -212,13 +212,13 @@ def _plan(job: Job, machine: Machine, options: Options) -> Plan:
     at_limits = timing.pace is not Pace.PROGRAMMED
     programmed = programmed_path(job, machine, feed=timing.feed, at_limits=at_limits)
     check_budget(job, machine, timing.feed)
-    reserved = with_reserve(machine, timing.reserve)
-    limited = derate(reserved, timing.limit_share)
-    path = _shape(programmed, limited, options.path)
+    machine_with_reserve = with_reserve(machine, timing.reserve)
+    limited_machine = derate(machine_with_reserve, timing.limit_share)
+    path = _shape(programmed, limited_machine, options.path)
     of_loads = timing.smoothing_s is not None
     timed = plan_trajectory(
         path,
-        limited,
+        limited_machine,
         timing.pace,
         motion_law,
         timing.contour_m,
@@ -231,7 +231,9 @@ def _plan(job: Job, machine: Machine, options: Options) -> Plan:
         followed = followed_by_motors(timed, machine, job, shaper)
     elif timing.robust_share is None:
         averages = even_averages(timing.smoothing_s)
-        followed = followed_by_loads(timed, reserved, job, averages, ends_m=timing.ends_m)
+        followed = followed_by_loads(
+            timed, machine_with_reserve, job, averages, ends_m=timing.ends_m
+        )
     else:
         from threadline.commands.robust_following import robust_averages
 
@@ -308,25 +310,25 @@ def _ranges_of_days(commands: Commands) -> int:
     return RANGES_OF_DAYS + len(tick_table(commands).axes)
 
 
-def _on_days(commands: Commands, machine: Machine, places: FloatArray) -> Sequence[Recording]:
+def _on_days(commands: Commands, machine: Machine, fractions: FloatArray) -> Sequence[Recording]:
     """Simulate days at (k, 3 + axes) places, as ``days_at`` takes them."""
     from threadline.machine.days import days_at
 
-    return _simulated_on(tick_table(commands), machine, days_at(places))
+    return _simulated_on(tick_table(commands), machine, days_at(fractions))
 
 
 def _simulated_on(table: TickTable, machine: Machine, days: Days) -> Sequence[Recording]:
     if machine.position_sources:
-        varied = zip(
+        variations = zip(
             days.friction.tolist(), days.supply.tolist(), days.tension.tolist(), strict=True
         )
-        machines = [vary(machine, friction=f, supply=s, tension=t) for f, s, t in varied]
-        beside = simulate_position_runs(table, machines, encoder_phase=days.phases)
-        if beside is not None:
-            return [beside]
+        machines = [vary(machine, friction=f, supply=s, tension=t) for f, s, t in variations]
+        together = simulate_position_runs(table, machines, encoder_phase=days.phases)
+        if together is not None:
+            return [together]
         return [
-            simulate(table, one, encoder_phase=phase)
-            for one, phase in zip(machines, days.phases, strict=True)
+            simulate(table, varied_machine, encoder_phase=phase)
+            for varied_machine, phase in zip(machines, days.phases, strict=True)
         ]
     numbers = Values.of(machine, varied_numbers(machine, days)).replaced
     values = Values(machine, numbers, len(days))
@@ -350,10 +352,10 @@ def _others(
     values = Values.of(machine, numbers_at(machine, parts))
     return [
         with_products(
-            simulate_runs(table, sharing, encoder_phase=phases[places], kinds=_RECORDED),
-            product_at_random(places),
+            simulate_runs(table, same_delay_values, encoder_phase=phases[indices], kinds=_RECORDED),
+            product_at_random(indices),
         )
-        for sharing, places in values.by_delay()
+        for same_delay_values, indices in values.by_delay()
     ]
 
 
@@ -371,11 +373,11 @@ def _with_criteria(spec: Spec, machine: Machine, options: Options) -> Spec:
         given = {criterion.name for criterion in spec.criteria}
         tensions_n = () if machine.spool is None else tensions_in(options.product)
         criteria = criteria_of(product_of_text(options.product), machine.spool, tensions_n)
-        own = tuple(criterion for criterion in criteria if criterion.name not in given)
-        spec = replace(spec, criteria=(*spec.criteria, *own))
+        added = tuple(criterion for criterion in criteria if criterion.name not in given)
+        spec = replace(spec, criteria=(*spec.criteria, *added))
     shaped = options.timing.shaper is not None or options.timing.smoothing_s is not None
-    named = any(criterion.name == "shaping_deviation" for criterion in spec.criteria)
-    if named or not shaped:
+    has_criterion = any(criterion.name == "shaping_deviation" for criterion in spec.criteria)
+    if has_criterion or not shaped:
         return spec
     return replace(spec, criteria=(*spec.criteria, Criterion(name="shaping_deviation")))
 

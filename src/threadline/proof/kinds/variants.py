@@ -45,29 +45,29 @@ def rejects(
     random
         Generator for encoder phases.
     """
-    tried = failed = 0
-    most, limit = 1.0, 1.0 - wanted_yield
-    for at in range(0, len(parts), _AT_ONCE):
-        some = parts[at : at + _AT_ONCE]
-        failed += _failed(kind, plan, judge, some, random)
-        tried += len(some)
-        most = 1.0 - clopper_pearson(tried - failed, tried)[0]
+    judged_count = failed = 0
+    largest_share, limit = 1.0, 1.0 - wanted_yield
+    for begin in range(0, len(parts), _AT_ONCE):
+        batch = parts[begin : begin + _AT_ONCE]
+        failed += _failed_count(kind, plan, judge, batch, random)
+        judged_count += len(batch)
+        largest_share = 1.0 - clopper_pearson(judged_count - failed, judged_count)[0]
         if 1.0 - clopper_pearson(len(parts) - failed, len(parts))[0] > limit:
             break
     result = Result(
         name=REJECTS,
         axis="",
-        measured=most,
+        measured=largest_share,
         limit=limit,
         unit="",
-        status=Status.FAILED if most > limit else Status.PASSED,
+        status=Status.FAILED if largest_share > limit else Status.PASSED,
         required=True,
-        note=f"{failed} of {tried} machines within the tolerances are out of specification",
+        note=f"{failed} of {judged_count} machines within the tolerances are out of specification",
     )
-    return result, tried
+    return result, judged_count
 
 
-def _failed(
+def _failed_count(
     kind: Kind, plan: Plan, judge: Judge, parts: FloatArray, random: np.random.Generator
 ) -> int:
     """Return how many machines are out of specification.
@@ -81,9 +81,9 @@ def _failed(
     except (MachineError, RecordingError):
         if len(parts) == 1:
             return 1
-        half = len(parts) // 2
-        low = _failed(kind, plan, judge, parts[:half], random)
-        return low + _failed(kind, plan, judge, parts[half:], random)
+        half_count = len(parts) // 2
+        failed_in_first_half = _failed_count(kind, plan, judge, parts[:half_count], random)
+        return failed_in_first_half + _failed_count(kind, plan, judge, parts[half_count:], random)
 
 
 UNANSWERED = "unanswered"
@@ -129,15 +129,18 @@ def played_by(commands: Commands, machine: Machine, actual: Machine) -> Commands
     """
     if actual.sha256 == machine.sha256 or isinstance(commands, TickTable):
         return commands
-    for what, own, others in (
+    for subject, planned_names, actual_names in (
         ("what moves", machine.moving, actual.moving),
         ("contacts", machine.contacts, actual.contacts),
         ("outputs", machine.outputs, actual.outputs),
     ):
-        if own.keys() != others.keys() or machine.commanded_by != actual.commanded_by:
+        if (
+            planned_names.keys() != actual_names.keys()
+            or machine.commanded_by != actual.commanded_by
+        ):
             raise OptionError(
                 f"{actual.name} cannot play what is planned for {machine.name}: they differ in "
-                f"{what}, and not in numbers alone",
+                f"{subject}, and not in numbers alone",
                 remedy="Give a machine file that has the planned one as its base.",
             )
     return with_machine_hash(commands, actual)
