@@ -62,7 +62,7 @@ def _from_rest(seconds: FloatArray) -> FloatArray:
 
 
 def _nominal_s(left_s: FloatArray) -> FloatArray:
-    """Return the time at full speed for the distance that is left at times before a rest.
+    """Return the time in which full speed covers the way that is left ``left_s`` before a stop.
 
     Over the last ``_STOP_S`` the speed falls as half a cosine: its share of the full speed is
     ``(1 - cos(pi t / T)) / 2`` at the time t before the rest.
