@@ -20,7 +20,7 @@ _LEAST_TICKS = 20
 _MOST = 1e9  # m, rad or V
 _LEAST_MOTION = 20.0  # counts
 _ON_COUNTS = 0.02
-_FULL = 0.99  # clamped from this share of the clamp on: within a DAC level, beyond rounding
+_FULL = 0.99  # share of the clamp from which on volts count as clamped: within a DAC level
 _CLIPPED = 0.2  # share of samples with the controller at its clamp, from which a run is refused
 
 

@@ -101,7 +101,7 @@ class Composite:
 
     @property
     def resin_density(self) -> float:
-        """Density of the resin, kg/m^3; in a prepreg it follows from the other densities."""
+        """Density of the resin, kg/m^3; of a prepreg, from the densities of ply and fibre."""
         if self.resin is not None:
             return self.resin["density"]
         assert self.prepreg is not None
@@ -110,7 +110,7 @@ class Composite:
 
     @property
     def strength(self) -> float:
-        """Strength of the fibres, Pa; in a prepreg the ply's divided by its fibre volume."""
+        """Strength of the fibres, Pa; of a prepreg, ply strength divided by fibre volume."""
         if self.prepreg is None:
             return self.fibre["strength"]
         return self.prepreg["strength"] / self.prepreg["fibre_volume"]

@@ -58,7 +58,7 @@ class Ahead:
         Whether the rows end at the program's next rest, for a hold that would leave the path
         anywhere else.
     gently
-        Whether the next cut and the next start from rest are gentle.
+        Whether the next ``cut`` and the next start from rest are gentle.
     rate
         Rows of the table per tick that the run is to play: 1, or from 0.1 to 0.99. The next refill
         begins the change.
@@ -174,8 +174,8 @@ class Ahead:
     def _following(self, tick: int, place: float, stop: float) -> float:
         """Return the place at ``tick`` after ``place``, at most ``stop``; begin a change of rate.
 
-        At a constant rate the place lies on a line from the begin of that rate, because a sum of
-        steps would add up their rounding.
+        At a constant rate the place is computed from the place and tick at which that rate began: a
+        sum of steps would add up their rounding.
         """
         if not len(self._on_the_way) and self._rate != self.rate:
             rates, self._rate = (self._rate, self.rate), self.rate

@@ -24,7 +24,7 @@ from threadline.live.operated import Load
 from threadline.live.states import MOVING, Cause, Desk, Hold, Sink, State, next_state
 
 _AT_REST = frozenset({State.DISABLED, State.ENABLED, State.FAULT})
-"""States in which no state that a controller reports at rest is a fault: nothing begins in them."""
+"""Not homed, or after a fault: no state that the controller reports then is a new fault."""
 
 
 class GrblOperated(GrblRun):

@@ -50,7 +50,7 @@ class RunAhead(Protocol):
     to_rest: bool
     """Whether a hold waits for the next rest of the program."""
     gently: bool
-    """Whether the next cut and the next start from rest are gentle."""
+    """Whether the next ``cut`` and the next start from rest are gentle."""
     rate: float
     """Rows of the table to play per tick, where ``RunKind.no_override`` is empty."""
 

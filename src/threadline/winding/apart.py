@@ -93,7 +93,7 @@ def _along(
         best = min(best, found)
     if length == 0.0:
         return best
-    # Intervals whose middles are to be tried; one is dropped as soon as it cannot hold less.
+    # Intervals whose middles are to be tried. One that cannot hold a smaller distance is dropped.
     low, high = np.empty(64), np.empty(64)
     low[0], high[0], count = 0.0, 1.0, 1
     while count:

@@ -47,7 +47,7 @@ class Witness:
 
     @property
     def room_m(self) -> float:
-        """Least radial distance from mandrel to eye, m; negative inside, infinite if beside."""
+        """Least radial distance from mandrel to eye, m; negative inside it, infinite beside it."""
         return self._room_m
 
     def take(self, eyes: FloatArray, fibre: Fibre) -> None:

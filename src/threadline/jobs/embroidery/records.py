@@ -231,7 +231,7 @@ def _is_whole_dst(content: bytes, count: int) -> bool:
     """Return whether the header of a DST file without end mark agrees with its records.
 
     Programs count the thread changes and the end mark as records, or do not, and have Y up or down.
-    A program that writes another last position leaves the frame where it began.
+    The last position may differ from the header only if the design ends where it began.
     """
     header = _dst_header(content)
     if not count or set(header) != {"ST", "+X", "-X", "+Y", "-Y", "AX", "AY"}:

@@ -57,8 +57,8 @@ def dst_bytes(units: IntArray, sewn: IntArray, events: Mapping[int, list[str]], 
     sewn
         (n,) 1 if the displacement ends in a stitch, 0 if the needle is up.
     events
-        Events before each displacement: ``trim``, ``stop`` and ``colour`` are written; n stands for
-        the end.
+        Events by the index of the displacement that follows them; n at the end of the design. Only
+        ``trim``, ``stop`` and ``colour`` are written.
     name
         Name of the design in the header.
     """
@@ -92,8 +92,9 @@ def u01_bytes(units: IntArray, sewn: IntArray, events: Mapping[int, list[str]]) 
     units, sewn
         As for ``dst_bytes``.
     events
-        Events before each displacement: ``trim``, ``stop``, ``colour``, ``slow`` and ``fast``; the
-        last two belong to the first record behind them that moves.
+        Events by the index of the displacement that follows them; n at the end of the design:
+        ``trim``, ``stop``, ``colour``, ``slow`` and ``fast``. The last two are written in the next
+        record that moves.
     """
     records, pace, needle = [_u01_record(_U01_STOP + 1, 0, 0)], 0, 1
     for act, dx, dy in _parts(units, sewn, events, U01_MOST):

@@ -1,9 +1,9 @@
 """Drilling cycles of part programs (G73, G81 to G83, G85, G89): the moves of each hole.
 
 Source: LinuxCNC 2.9, G codes (canned cycles) and ``interp_cycles.cc``. A cycle goes to the place
-of a hole at the height where the series of cycles began, on to the height R, and from there down
-to the bottom. It ends at R after G99, and at the higher of both heights after G98; LinuxCNC starts
-as after G99.
+of a hole at the height R or above it, then down to R, and from there to the bottom. After G99 it
+ends at R; after G98 it ends at the height where the series of cycles began, or at R if R is higher.
+LinuxCNC starts with G99.
 """
 
 from __future__ import annotations
@@ -98,7 +98,8 @@ class Cycles:
         Raises
         ------
         JobError
-            If a word is missing, belongs to another axis, or has no use in the cycle; if R is
+            If the machine has no axis in the direction of the holes; if a word is missing, belongs
+            to another axis, has no use in the cycle, or is a P below 0 or a Q not above 0; if R is
             below the bottom; if the plane or the unit changed within the series; or if the block
             has more than ``MOST_STEPS`` moves.
         """
@@ -153,7 +154,7 @@ class Cycles:
             height = clear
 
     def _words(self, motion: int, block: Block, frame: Frame, deep: str) -> dict[str, int]:
-        """Return the exact words of a cycle: depth, R, and Q or P, kept ones where none stands."""
+        """Return the exact depth, R, and Q or P; a missing word is taken from an earlier block."""
         letters = {index: letter for letter, index in frame.axes.items()}
         found: dict[str, int] = {}
         for index, value in block.axes:

@@ -146,6 +146,8 @@ class StitchCheck:
     def reach(self) -> None:
         """Check the ends and the middle of every piece before any stitch is placed.
 
+        A seam with a start or an end of its own is not checked here, but stitch by stitch.
+
         Raises
         ------
         LimitError

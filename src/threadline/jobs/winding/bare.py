@@ -36,7 +36,7 @@ class Bare:
     laid
         The layers on it.
     off_m
-        Largest distance between the outer shape after them and the wanted one.
+        Largest distance between the wound and the wanted outer shape, m.
     """
 
     points: FloatArray
@@ -55,7 +55,8 @@ def bare_of(winding: Winding) -> Bare:
     ------
     JobError
         If there is no such mandrel: it would double back, have a hollow that the fibre bridges or
-        reach the axis, or the outer shape comes no nearer; the error names the place.
+        reach the axis, or the outer shape would be off by more than ``TOLERANCE_M``; the error
+        names the place. Also if the thickness of the band is not known.
     """
     wanted = winding.product.surface
     held = _held(winding)

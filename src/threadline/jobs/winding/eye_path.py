@@ -133,7 +133,7 @@ class EyePath:
 
     @property
     def slack_m(self) -> float:
-        """Largest length of fibre that goes back through the eye in one go, m."""
+        """Largest fall of ``used_m`` below an earlier value, m: the eye takes that fibre back."""
         used = np.concatenate([self.used_m, self.used_m[1:] + self.used_m[-1]])
         return float((np.maximum.accumulate(used) - used).max())
 

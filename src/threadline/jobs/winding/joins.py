@@ -21,7 +21,7 @@ from threadline.winding.surface import Surface
 _MOST_PASSES = 20
 _HALVINGS = 60
 _SAME_M = 1e-9
-_MOST_RATIO, _ROUGH = 2.0, 8  # of the search for the friction that would do
+_MOST_RATIO, _ROUGH = 2.0, 8  # largest ratio and halvings of the search for enough friction
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -143,7 +143,7 @@ def _inwards(turn: Turn) -> FloatArray:
 
 
 def _put(parts: list[FloatArray], rows: FloatArray, side: int) -> None:
-    """Add rows with the angle to the meridian in their own direction: away from an end ``side``."""
+    """Add rows of a fibre that runs away from the end ``side``; their angle is in its direction."""
     rows = rows.copy()
     if side > 0:  # away from the right end, to the left
         rows[:, 3] = np.pi - rows[:, 3]

@@ -18,7 +18,7 @@ from threadline.jobs.tensions import TAG
 _APPROACH_M_S = 0.02  # speed of the eye to the first point
 _REST_S = 0.5
 _RAMP_S, _RAMP_FROM = 1.0, 0.3  # the ramp is as long as 1 s at full speed, and begins at 0.3 of it
-_STOP_S, _STEP_S = 0.5, 0.02  # from full speed to a rest, and the longest step of speed there
+_STOP_S, _STEP_S = 0.5, 0.02  # duration of a stop from full speed, and of its longest step
 _STOP_GRID = 10_001
 _UNITS = 1e9  # parts of a mm or deg: in 1000 circuits rounding adds up to 5e-7 deg
 _COARSE = 10_000  # units between the points of a circuit, so that its words are short
@@ -62,7 +62,7 @@ def _from_rest(seconds: FloatArray) -> FloatArray:
 
 
 def _nominal_s(left_s: FloatArray) -> FloatArray:
-    """Return the time at full speed for the distance that is left at times before a rest.
+    """Return the time in which full speed covers the way that is left ``left_s`` before a stop.
 
     Over the last ``_STOP_S`` the speed falls as half a cosine: its share of the full speed is
     ``(1 - cos(pi t / T)) / 2`` at the time t before the rest.

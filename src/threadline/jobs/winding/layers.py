@@ -32,7 +32,7 @@ MOST_CIRCUITS = 100_000
 MARGIN = 0.9
 """Share of the lowest friction, within its tolerance, that a planned path uses."""
 GENTLE = 0.75
-"""Share of that for a turn at an open end, where the mandrel is long enough for it."""
+"""Share of ``MARGIN`` that a turn at an open end uses, if the mandrel is long enough for it."""
 USUAL_SPEED_M_S = 0.1
 """Speed of the fibre where the file names none."""
 _ENVELOPES_M = 1e-3, 1.0

@@ -34,7 +34,7 @@ class Wrap:
     Parameters
     ----------
     base
-        The circuit without anything that closes a pattern.
+        The circuit before friction, a dwell or another angle closes a pattern.
     sites
         Sites of the left and the right turn.
     least_m

@@ -20,9 +20,9 @@ from threadline.winding.shapes import table
 from threadline.winding.surface import Surface, surface_of
 
 _GRID = 2049
-_BANDS = 2.0  # before the turn, in which the thickness is a cubic
-_POINTS = 513  # of a grown meridian
-_MOST_SHARE = 0.9  # of the way from the joint to the turn that the cubic may take
+_BANDS = 2.0  # band widths before the turn in which the thickness is a cubic
+_POINTS = 513  # points of a grown meridian
+_MOST_SHARE = 0.9  # largest share of the way from the joint to the turn for the cubic
 _DRAWN_OUT = 3.0
 _STEEPEST = 0.003  # cosine of the steepest angle of a grown meridian
 _EDGE_M = 1e-3
@@ -92,7 +92,7 @@ def thickness(
 def hoops(
     surface: Surface, ends: tuple[float, float], width_m: float, fibre_m3: float
 ) -> Thickness:
-    """Return the thickness of hoops between the u of two turns: it is even.
+    """Return the thickness, everywhere the same, of hoops between the u of two turns.
 
     Parameters
     ----------
@@ -113,7 +113,7 @@ def _side(
     inside = np.linspace(site.joint, ends, _GRID)
     radius = surface.at(inside)[1][:, 0]
     way = np.abs(inside - site.joint)
-    # On a dome the bands count in radius, where the fibre turns on a cylinder along it.
+    # Band widths are counted in radius on a dome, and along the meridian on a cylinder.
     by_radius = abs(radius[0] - radius[-1]) > 2.0 * _BANDS * width_m
     measure = radius[0] - radius if by_radius else way
     total = float(measure[-1])
@@ -132,7 +132,7 @@ def _side(
     at = int(np.argmax(zone))
     if at < 2 or zone.sum() < 4:
         return (u, t) if site.side > 0 else (u[::-1], t[::-1])
-    # The fibre beyond the zone's begin, all passes: their cross-section times the way to the turn.
+    # Volume of the fibre in the zone: cross-section of all passes times the length to the turn.
     start = float(u[at])
     passed = float(np.interp(start * site.side, site.side * rows[:, 1], rows[:, 0]))
     volume = fibre_m2 * (turn.length_m - passed)

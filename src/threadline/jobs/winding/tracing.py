@@ -17,7 +17,7 @@ from threadline.base.compiled import njit
 from threadline.winding.surface import meridian
 
 TURNED, REACHED, AWAY, ENDLESS = range(4)
-"""Why a course ended: at 90 degrees, at the wanted place, along the meridian, after too long."""
+"""Why a course ended: at 90 degrees, at the wanted place, along the meridian, or out of rows."""
 _SHARE = 0.008  # length of a step, as a share of the smallest radius of curvature
 _ROUNDS = 12  # of the search for the end of a step
 _HALF_PI = 0.5 * math.pi

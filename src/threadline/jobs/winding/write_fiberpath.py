@@ -18,7 +18,7 @@ from threadline.jobs.winding.layers import USUAL_SPEED_M_S, Winding
 from threadline.winding.fiberpath import ANGLES, FRICTION, circuits_of
 from threadline.winding.surface import Surface
 
-_LEAD_OUT = 90.0  # deg; a quarter of a turn, as in its own examples
+_LEAD_OUT = 90.0  # deg; a quarter of a turn, as in FiberPath's examples
 _LEAST_LOCK = 360.0 + _LEAD_OUT  # deg: then the mandrel never goes back at a turn
 _LEAD_IN_MM, _LEAD_IN = 10.0, 0.1  # and at most this share of the length
 _STRAIGHT_M = 1e-6
@@ -45,7 +45,7 @@ def check_wind(winding: Winding) -> None:
     Raises
     ------
     JobError
-        As ``write_wind``.
+        If the format cannot hold the mandrel.
     """
     _mandrel(winding, winding.product.surface)
 

@@ -82,7 +82,8 @@ class Values:
         Raises
         ------
         JobError
-            If the parameter does not exist, is not set, or only the control knows its value.
+            If the parameter does not exist, is not set, is one that the control never reads, or
+            only the control knows its value.
         """
         if 1 <= which < self.flavour.readable:
             raise JobError(
@@ -137,7 +138,8 @@ class Values:
         Raises
         ------
         JobError
-            If the parameter was not set, or only the control knows its value.
+            If the parameter was not set, only the control knows its value, or it is an item of the
+            control's configuration.
         """
         if name in _POSITIONS:
             self._refuse_position(f"#<{name}>", at)
@@ -174,7 +176,7 @@ class Values:
         Raises
         ------
         JobError
-            If the control sets this parameter.
+            If the control sets this parameter, or it is an item of the control's configuration.
         """
         self._refuse_configuration(name, at)
         if name in _OF_CONTROL or (name[:1] == "_" and self._predefined(name) is not None):
