@@ -27,7 +27,7 @@ from threadline.errors import MachineError
 from threadline.files import Stream, TickBlock, TickTable
 from threadline.identify.time_domain import driven_by_volts
 from threadline.machine import Machine
-from threadline.twin.batch import simulate_batch
+from threadline.twin.batch import BatchOptions, simulate_batch
 
 _GAINS = 24  # tried side by side in each round
 _ROUNDS = 3
@@ -165,10 +165,9 @@ def _runs(
         commands,
         machine,
         numbers,
-        settle_s=0.0,
-        channels=(f"{axis}.measured",),
-        watch_current=False,
-        quantised=False,
+        options=BatchOptions(
+            settle_s=0.0, channels=(f"{axis}.measured",), watch_current=False, quantised=False
+        ),
     )
     return found.samples[f"{axis}.measured"]
 
@@ -222,8 +221,7 @@ def reaction_curve(machine: Machine, axis: str) -> ReactionCurve:
             _table(made, axis, position.astype(np.int64)),
             made,
             None,
-            settle_s=0.0,
-            channels=(f"{axis}.load", f"{axis}.current_peak"),
+            options=BatchOptions(settle_s=0.0, channels=(f"{axis}.load", f"{axis}.current_peak")),
         )
         way = runs.samples[f"{axis}.load"][:, 0]
         if _within(machine, axis, way, runs.samples[f"{axis}.current_peak"][:, 0]):
