@@ -23,7 +23,7 @@ from threadline.machine import load_machine
 from threadline.proof.judge_runs import AT_ONCE, RunsJudge, kept_in_memory
 from threadline.proof.options import options_of
 from threadline.proof.pipeline import plan_job
-from threadline.twin import simulate, simulate_batch, simulate_runs
+from threadline.twin import BatchOptions, simulate, simulate_batch, simulate_runs
 from threadline.verdict import Spec, judge, load_spec, needed_channels
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
@@ -70,7 +70,9 @@ def _beside_single(name: str, case: _Case) -> dict[str, Any]:
     many_s /= AT_ONCE
     (one_s,) = _cpu_s(lambda: judge([simulate(table, machine)], plan, spec))
     (twin_s,) = _cpu_s(
-        lambda: simulate_batch(table, machine, numbers, encoder_phase=phases, threads=1)
+        lambda: simulate_batch(
+            table, machine, numbers, encoder_phase=phases, options=BatchOptions(threads=1)
+        )
     )
     return {
         "name": f"batch judge vs single judge, {name}",

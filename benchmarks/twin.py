@@ -43,7 +43,7 @@ from benchmarks._twin_peers import control_run, scipy_run
 from threadline.dynamics.linear_model import linear_model
 from threadline.machine import Machine
 from threadline.machine.load import load_machine
-from threadline.twin import simulate, simulate_batch
+from threadline.twin import BatchOptions, simulate, simulate_batch
 
 SUBSTEPS = (1, 2, 4, 8, 16, 32, 64, 128, 256)
 # What the twin itself is held to against event-located references without quantisers.
@@ -110,9 +110,7 @@ def smooth_loads(case: str) -> np.ndarray:
         table_of(machine, rows_of(case, ACCURACY_TICKS)),
         machine,
         {"bodies.x.inertia": inertias()[::100]},
-        settle_s=0.0,
-        channels=("X.load",),
-        quantised=False,
+        options=BatchOptions(settle_s=0.0, channels=("X.load",), quantised=False),
     ).samples["X.load"][:ACCURACY_TICKS]
 
 
@@ -124,7 +122,9 @@ def against_jax(case: str) -> list[dict[str, Any]]:
 
     def ours() -> Any:
         variants = {"bodies.x.inertia": inertias()}
-        return simulate_batch(commands, machine, variants, settle_s=0.0, watch_current=False)
+        return simulate_batch(
+            commands, machine, variants, options=BatchOptions(settle_s=0.0, watch_current=False)
+        )
 
     per = BATCH_TICKS * VARIANTS
     slow = ours().slow_ticks / per
@@ -192,7 +192,9 @@ def stitchers() -> dict[str, Any]:
         variants[path] = getattr(getattr(machine, table)[part], number).si * factors
 
     def ours() -> Any:
-        return simulate_batch(commands, machine, variants, settle_s=0.5, watch_current=False)
+        return simulate_batch(
+            commands, machine, variants, options=BatchOptions(settle_s=0.5, watch_current=False)
+        )
 
     result = ours()
     wall, busy = (median(x) for x in zip(*(both(ours) for _ in range(3)), strict=True))

@@ -40,7 +40,7 @@ from threadline.motion.shaping import FlexibleMode, Shaper, convolve, design, vi
 from threadline.motion.shaping.law_residual import lasting_windows_s
 from threadline.motion.shaping.mode_law import Demand, made_law, usual_jerk_m_s3
 from threadline.search.broken_beam import break_sweeps
-from threadline.twin import simulate, simulate_batch
+from threadline.twin import BatchOptions, simulate, simulate_batch
 
 ROOT = Path(__file__).resolve().parent.parent
 INCH = 25.4e-3
@@ -247,7 +247,8 @@ def overshoots_m(
     whole_s = np.ceil(1e3 * (SIDE_M / speed + speed / acceleration) + 1) * 1e-3
     found = simulate_batch(
         three_sides(machine, speed, acceleration, float(whole_s), rests=1), machine,
-        {**variants, **(others or {})}, window_s=0.0, settle_s=0.4, watch_current=False,
+        {**variants, **(others or {})},
+        options=BatchOptions(window_s=0.0, settle_s=0.4, watch_current=False),
     )  # fmt: skip
     assert found.highest is not None
     past = found.highest - SIDE_M * np.array([2.0, 1.0])

@@ -16,7 +16,7 @@ import numpy as np
 from scipy.interpolate import BSpline
 
 from threadline.motion.path.greville import CUT
-from threadline.motion.timing.optimal.elements import elements_of
+from threadline.motion.timing.optimal.elements import RunPieces, elements_of
 from threadline.motion.timing.optimal.in_time import in_time
 from threadline.motion.timing.optimal.motion_limits import Limits
 from threadline.motion.timing.optimal.solve import fastest
@@ -61,7 +61,7 @@ def time_s(degree: int, angle_deg: float, limits: Limits) -> tuple[float, int]:
     ratio[0] = spacing / np.linalg.norm(c[0, 1])
     ratio[-1] = 1.0 / (spacing / np.linalg.norm(c[-1, 1]))
     elements = elements_of(
-        c, ratio, np.zeros(n), np.zeros(n, int), 1.0, from_rest=True, to_rest=True
+        RunPieces(c, ratio, np.zeros(n), np.zeros(n, int), 1.0), from_rest=True, to_rest=True
     )
     solution = fastest(elements, limits, 1e-4)
     return in_time(solution, limits).end_s, len(solution.y)

@@ -192,7 +192,7 @@ def test_a_step_between_two_rows_has_its_ends_around_them() -> None:
 
 def test_an_end_that_is_given_has_no_interval_and_helps_the_other(tmp_path: Path) -> None:
     cam = synthetic(tmp_path, 3, "4-5-6-7")
-    study = study_cam(cam, noise_m=NOISE, start_rad=math.radians(START), draws=2)
+    study = study_cam(cam, noise_m=NOISE, rise_rad=(math.radians(START), None), draws=2)
     assert study.rise.start_rad == math.radians(START) and study.rise.start_within_rad is None
     assert "as given" in study.rise.said[0] and "at 90 %" in study.rise.said[1]
     assert math.degrees(study.rise.end_rad) == pytest.approx(END, abs=0.5)

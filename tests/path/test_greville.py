@@ -13,7 +13,7 @@ from threadline.machine import load_machine
 from threadline.motion.path import plan_path
 from threadline.motion.path.auto import auto_pieces, points_added
 from threadline.motion.path.greville import CUT, cut_of, quartic_spacing, quartic_spans
-from threadline.motion.path.polygon import QUARTIC, control_polygon, turns
+from threadline.motion.path.polygon import QUARTIC, Chords, control_polygon, turns
 from threadline.motion.path.runs import Vertices
 from threadline.motion.path.types import ProgrammedPath, VertexBlock
 
@@ -135,7 +135,7 @@ def test_no_bound_of_a_path_with_its_points_is_above_the_tolerance(seed):
             more_m=np.zeros(count),
         )
         knots = control_polygon(
-            vertices, length, turn, cut_m, 0, count - 1, QUARTIC, begins=True, ends=True
+            vertices, length, turn, cut_m, Chords(0, count - 1, True, True), QUARTIC
         )
         turned, legs = np.append(0.0, knots.turn), knots.length_m
         assert (legs > 0.0).all() and legs.sum() == pytest.approx(length.sum())

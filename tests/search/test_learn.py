@@ -28,7 +28,7 @@ from threadline.search.learned_job import LearnedJob, learned_from, typed_option
 from threadline.search.question import question_of
 from threadline.search.repeats import Rules, best_of
 from threadline.twin import simulate
-from threadline.twin.batch import simulate_batch
+from threadline.twin.batch import BatchOptions, simulate_batch
 from threadline.verdict import load_spec
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
@@ -82,7 +82,9 @@ def test_a_change_of_the_references_moves_the_load_by_the_error_it_was_made_for(
     offset[:, column] = np.rint(one.change(error) * MACHINE.counts_per_unit[column])
     channel = f"{axis}.load"
     loads = [
-        simulate_batch(table, MACHINE, channels=(channel,), quantised=False).samples[channel][:, 0]
+        simulate_batch(
+            table, MACHINE, options=BatchOptions(channels=(channel,), quantised=False)
+        ).samples[channel][:, 0]
         for table in (base, with_offsets(base, offset))
     ]
     moved = loads[1] - loads[0]

@@ -19,7 +19,8 @@ from tests.conftest import NO_SAMPLES, SHARED_SAMPLES
 from threadline.base.arrays import FloatArray
 from threadline.commands import stitch_pace
 from threadline.commands.stitch_pace import Moves, Pace
-from threadline.commands.stitch_search import FastestTurns, Speeds, fastest_turns
+from threadline.commands.stitch_search import FastestTurns, fastest_turns
+from threadline.commands.stitch_speeds import Speeds, TurnMoves
 from threadline.commands.stitched import stitch
 from threadline.commands.turns import Stitched
 from threadline.errors import OptionError, PlanError
@@ -281,7 +282,11 @@ def test_the_beam_finds_the_fastest_of_all_schedules() -> None:
         )
         grid = Speeds.between((0.36, 0.85, 0.85), 0.12, pace.share, 0.6366)
         found = fastest_turns(
-            grid, pace._swings(grid), (units * 1e-4, moves.needle, shortest_s), 1e-4, pace.share
+            grid,
+            pace._swings(grid),
+            TurnMoves(ways_m=units * 1e-4, needle=moves.needle, shortest_s=shortest_s),
+            1e-4,
+            pace.share,
         )
         tried = np.array(list(product(grid.turn_s.tolist(), repeat=6)))
         steps = np.abs(np.diff(tried**-2.0, axis=1)).max(axis=1)

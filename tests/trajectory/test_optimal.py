@@ -17,7 +17,7 @@ from threadline.motion.laws import shortest_move
 from threadline.motion.path import interpolations, path_deviation, plan_path, programmed_path
 from threadline.motion.timing import limit_peaks, plan_trajectory
 from threadline.motion.timing.optimal import barrier, fastest_motion, in_time, solve
-from threadline.motion.timing.optimal.elements import elements_of
+from threadline.motion.timing.optimal.elements import RunPieces, elements_of
 from threadline.motion.timing.optimal.motion_limits import Limits
 from threadline.motion.timing.optimal.solve import fastest
 
@@ -31,7 +31,7 @@ def straight(length, velocity, acceleration, jerk, gap=1e-4):
     c = np.zeros((1, 4, 1))
     c[0, 1, 0] = length
     elements = elements_of(
-        c, np.zeros(0), np.zeros(1), np.zeros(1, int), 1.0, from_rest=True, to_rest=True
+        RunPieces(c, np.zeros(0), np.zeros(1), np.zeros(1, int), 1.0), from_rest=True, to_rest=True
     )
     limits = Limits(
         velocity=np.array([velocity]), acceleration=np.array([acceleration]), jerk=np.array([jerk])
@@ -262,11 +262,13 @@ def test_motion_is_slowed_if_no_cut_keeps_a_limit(monkeypatch):
 def test_a_step_is_never_taken_backwards():
     """At 1 + 2e-16 of a limit the room over a change of 1e-20 would be a share of -1e4: b stays."""
     elements = elements_of(
-        np.array([[[0.0], [1.0], [0.0], [0.0]]]),
-        np.zeros(0),
-        np.zeros(1),
-        np.zeros(1, int),
-        1.0,
+        RunPieces(
+            np.array([[[0.0], [1.0], [0.0], [0.0]]]),
+            np.zeros(0),
+            np.zeros(1),
+            np.zeros(1, int),
+            1.0,
+        ),
         from_rest=True,
         to_rest=True,
     )

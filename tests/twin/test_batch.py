@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from threadline.machine.load import load_machine
-from threadline.twin import simulate, simulate_batch
+from threadline.twin import BatchOptions, simulate, simulate_batch
 
 from .belt_reference import ROWS, amplifier
 
@@ -21,8 +21,7 @@ def test_batch_is_the_scalar_twin(belt_axis, table):
         commands,
         machine,
         {"bodies.head.friction": friction},
-        channels=("X.load", "X.current"),
-        quantised=False,
+        options=BatchOptions(channels=("X.load", "X.current"), quantised=False),
     )
     for index, value in enumerate(friction):
         alone = belt_axis(bodies_head=line.format(value))
@@ -45,8 +44,9 @@ def test_wide_batch_is_the_scalar_twin(belt_axis, table, quantised):
         commands,
         machine,
         {"bodies.head.inertia": inertia},
-        channels=("X.load", "X.voltage", "X.current_peak"),
-        quantised=quantised,
+        options=BatchOptions(
+            channels=("X.load", "X.voltage", "X.current_peak"), quantised=quantised
+        ),
     )
     assert batch.events > 500
     for index in (0, 7, 33, 69):
@@ -73,9 +73,11 @@ def test_lanes_in_several_modes(table):
 
     def run(values):
         return simulate_batch(
-            commands, machine, {"bodies.x_head.inertia": values}, channels=channels,
-            settle_s=0.02, quantised=False,
-        )  # fmt: skip
+            commands,
+            machine,
+            {"bodies.x_head.inertia": values},
+            options=BatchOptions(channels=channels, settle_s=0.02, quantised=False),
+        )
 
     together = run(inertia)
     assert together.events > 16
@@ -92,7 +94,9 @@ def test_batch_measures(belt_axis, table):
     machine = belt_axis()
     commands = table(machine, {"X": ROWS})
     phases = np.array([[0.1], [0.5], [0.9]])
-    batch = simulate_batch(commands, machine, encoder_phase=phases, window_s=0.28)
+    batch = simulate_batch(
+        commands, machine, encoder_phase=phases, options=BatchOptions(window_s=0.28)
+    )
     for index, phase in enumerate(phases):
         recording = simulate(commands, machine, encoder_phase=phase)
         times, load = recording.samples("X.load")

@@ -25,7 +25,7 @@ from tests.twin.reference_twin import reference_run
 
 from threadline.machine.load import load_machine
 from threadline.files import Stream, TickBlock, TickTable
-from threadline.twin import simulate, simulate_batch
+from threadline.twin import BatchOptions, simulate, simulate_batch
 
 OUT_AND_BACK = np.concatenate((np.ones(12), -np.ones(16), np.zeros(8))).astype(np.int64)
 for seed in (2, 8, 21):
@@ -56,7 +56,7 @@ for seed in (2, 8, 21):
         body = next(iter(machine.bodies))
         alike = {f"bodies.{body}.inertia": np.full(9, machine.bodies[body].inertia.si)}
         names = tuple(f"{axis}.load" for axis in machine.axes)
-        many = simulate_batch(table, machine, alike, channels=names, **how)
+        many = simulate_batch(table, machine, alike, options=BatchOptions(channels=names, **how))
         for axis, load in loads[kind].items():
             scale = machine.axes[axis].counts.si
             np.testing.assert_allclose(

@@ -13,7 +13,7 @@ from threadline.files import Stream, TickBlock, TickTable
 from threadline.machine import load_machine
 from threadline.machine.numbers import with_numbers
 from threadline.machine.variants import drawn, numbers_at, variant
-from threadline.twin.batch import simulate_batch
+from threadline.twin.batch import BatchOptions, simulate_batch
 from threadline.twin.kernel.piece import prepared
 from threadline.twin.simulate import simulate
 
@@ -52,7 +52,9 @@ def test_drawn_variants_equal_their_own_machines(name: str) -> None:
     varied = "drives.x.delay" if name == "stitcher" else "axes.X.counts"
     assert len(set(numbers[varied].tolist())) == 6
     loads = tuple(f"{axis}.load" for axis in machine.axes)
-    batch = simulate_batch(table, machine, numbers, channels=loads, settle_s=0.05)
+    batch = simulate_batch(
+        table, machine, numbers, options=BatchOptions(channels=loads, settle_s=0.05)
+    )
     for k in range(6):
         one = simulate(table, variant(machine, parts[k]), settle_s=0.05)
         for channel in loads:
@@ -80,7 +82,10 @@ def test_a_later_command_moves_later() -> None:
     table = moves(machine)
     delays = np.array([3e-3, 4e-3, 3e-3])
     batch = simulate_batch(
-        table, machine, {"drives.x.delay": delays}, channels=("X.load",), settle_s=0.0
+        table,
+        machine,
+        {"drives.x.delay": delays},
+        options=BatchOptions(channels=("X.load",), settle_s=0.0),
     )
     load = batch.samples["X.load"]
     np.testing.assert_array_equal(load[:, 0], load[:, 2])

@@ -88,8 +88,10 @@ def cam(
             table,
             fairing=chosen,
             noise_m=None if noise is None else parse_number("--noise", noise, "m", "0.05 mm"),
-            start_rad=None if start is None else parse_number("--start", start, "rad", "7.5 deg"),
-            end_rad=None if end is None else parse_number("--end", end, "rad", "127.5 deg"),
+            rise_rad=(
+                None if start is None else parse_number("--start", start, "rad", "7.5 deg"),
+                None if end is None else parse_number("--end", end, "rad", "127.5 deg"),
+            ),
             epsilon_m=None if epsilon is None else parse_number("--epsilon", epsilon, "m", "1 um"),
             most_passes=passes,
         )

@@ -148,9 +148,9 @@ _SAME: Mapping[str, tuple[frozenset[str], ...]] = {
     "S": (_CNC,),
     "T": (_CHANGES,),
 }
-"""By word (S and T by their letter): groups of firmwares to which the word means the same."""
+"""For each word (S and T: their letter), groups of firmwares that give it the same meaning."""
 _ARGUMENTS = frozenset("SXYZABCUVW")
-"""Letters of arguments that mean the same wherever their word does; P and others name a pin."""
+"""Argument letters whose meaning follows from their word; P and others name a pin."""
 
 
 def firmware_of(job: Job, machine: Machine) -> str:
@@ -226,7 +226,7 @@ def _goes_over(words: str, source: str, target: str) -> bool:
     parts = words.split()
     one_command = source in _PRINTERS
     if one_command and parts[0] in {"M0", "M1"} and len(parts) > 1:
-        return False  # such a stop ends by itself after a time
+        return False  # a stop with an argument ends by itself after a time
     for at, word in enumerate(parts):
         if at and (one_command or word[0] not in "MGST"):
             if word[0] not in _ARGUMENTS and (one_command or word[0] != "P"):

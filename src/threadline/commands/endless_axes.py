@@ -1,10 +1,10 @@
 """Numbers of axes that turn without end, in programs for firmwares with single precision.
 
-Such a firmware keeps a place in 24 bits, so that the decimals of a number get lost as it grows:
-beyond 131 072 deg two places are 0.016 deg apart. Where the job rests, whole turns are therefore
-taken off the place, if the firmware has a word for it: G92.9 of Marlin (2.1.3) and G92 of
-RepRapFirmware set the place itself. G92 of grbl, FluidNC and Marlin only shifts the numbers of the
-program, and the place grows on.
+Such a firmware keeps a position in 24 bits, so a growing number loses decimals: beyond 131 072 deg
+two neighbouring numbers are 0.016 deg apart. Where the job rests, the program therefore subtracts
+whole turns from the position, if the firmware has a word for it: G92.9 of Marlin (2.1.3) and G92 of
+RepRapFirmware set the position itself. G92 of grbl, FluidNC and Marlin only shifts the numbers of
+the program, and the position keeps growing.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from threadline.jobs.gcode.dialects import DIALECTS
 from threadline.machine import Machine
 
 _TAKEN_OFF_FROM = 0.1
-"""Share of a chord's tolerance by which two places differ when whole turns are taken off."""
+"""Whole turns are subtracted when two numbers differ by this share of a chord's tolerance."""
 
 
 class EndlessNumbers:
@@ -91,7 +91,7 @@ class EndlessNumbers:
             yield " ".join([self._word, *words])
 
     def _lost_mm(self, index: int, number: str) -> float:
-        """Return how far apart two neighbouring places of an axis are, mm at the tool."""
+        """Return the distance between two neighbouring numbers of an axis, mm at the tool."""
         step_deg = float(np.spacing(np.float32(abs(float(number)))))
         return float(math.radians(step_deg) * self._radius_mm[index])
 

@@ -7,9 +7,9 @@ rises again after a fall, where the feed of the job changes, where G0 changes to
 where a word switches something. The program is read back in its own dialect and compared with the
 plan before the file exists.
 
-An axis may move on the way to the place where the job first moves it, which is a warning. A job
-that goes over a place and then down leaves Z where the operator has put it until then. The rounded
-corner before the descent moves Z earlier, and so from the zero of the program.
+If an axis moves before the place where the job first moves it, a warning says so. A job may
+position X and Y first and then lower Z, from the height at which the operator has left it. The
+rounded corner before the descent moves Z earlier, and from the zero of the program.
 """
 
 from __future__ import annotations
@@ -60,33 +60,21 @@ _NO_SLOWER = 1e-3
 
 
 def write_firmware_program(
-    target: str,
-    job: Job,
-    trajectory: Trajectory,
-    machine: Machine,
-    path: Path,
-    *,
-    programmed: ProgrammedPath,
-    override: float | None = 1.0,
-    vertices: bool = False,
-    slower: bool = True,
+    planned: Chords, path: Path, *, programmed: ProgrammedPath, slower: bool = True
 ) -> Written:
     """Write a plan for a firmware; the file appears only after a correct read-back.
 
     Parameters
     ----------
+    planned
+        Chords of the plan.
     programmed
         Path of the job, with its times at the requested feeds.
-    override
-        Factor on the feeds of the job: no chord exceeds a feed times ``override``. None if another
-        feed replaces the job's feeds.
-    vertices
-        As in ``Chords``.
     slower
         Whether the firmware's planner may take longer for the program than for the job itself. If
         False and the program is slower, F is the feed of the job in place of the planned speeds,
-        and with ``vertices`` its moves are written as they are. The program then has fewer blocks,
-        and the firmware slows down by itself where the plan does.
+        and moves of ``planned.vertices`` are written as in the job. The program then has fewer
+        blocks, and the firmware slows down by itself where the plan does.
 
     Raises
     ------
@@ -94,8 +82,9 @@ def write_firmware_program(
         If the dialect has no word for a part of the job, a line is too long, the program read back
         differs from the plan, or the program is slower than allowed.
     """
+    target, job, machine = planned.target, planned.job, planned.planned_on
+    override, vertices = planned.override, planned.vertices
     refuse_lost(job, machine, target)
-    planned = Chords(target, job, trajectory, machine, override, vertices=vertices)
     with atomic_file(path) as file:
         summary, as_run_s = _written_once(planned, file, programmed, (0.25, 0.4))
         if not slower and _is_slower(as_run_s):
@@ -118,7 +107,7 @@ def _written_once(
 ) -> tuple[str, tuple[float, float] | None]:
     """Replace the contents of a file with a program, and compare the program with the plan.
 
-    ``shares`` of the whole work are done once the program is written, and once it is read back.
+    ``shares`` are the shares of the whole work done after writing and after reading back.
     """
     target, machine = chords.target, chords.planned_on
     file.seek(0)
@@ -145,7 +134,7 @@ def _is_slower(as_run_s: tuple[float, float] | None) -> bool:
 
 
 def _as_fed(job: Job, override: float | None) -> str:
-    """Return the job in words, with the feed for which its time is meant."""
+    """Return the name of the job, with the feed for which its time is given."""
     return f"{job.name} as it stands" if override == 1.0 else f"{job.name} at the same feed"
 
 
@@ -177,7 +166,7 @@ def planned_instants(
 ) -> FloatArray:
     """Return the instant of the plan, in s, at which each written line begins.
 
-    The parameters are as for ``write_firmware_program``.
+    The parameters are as for ``Chords``.
     """
     lines = _Lines(Chords(target, job, trajectory, machine, override))
     return np.array([begins_s for begins_s, _ in lines.timed()])

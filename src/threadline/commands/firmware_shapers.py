@@ -86,7 +86,7 @@ def reprap_command(machine: Machine, axes: Sequence[str]) -> list[str]:
 def _modes(
     machine: Machine, axes: Sequence[str], shaped: str, firmware: str, setting: str
 ) -> tuple[dict[str, str], dict[str, tuple[FlexibleMode, str]]]:
-    """Return a comment for each axis, and the slowest mode of each that has one, in words too."""
+    """Return a comment for each axis, and the slowest mode of each axis with modes."""
     if machine.without_dynamics:
         return {"": f"no {setting}: the machine file has no dynamics, and no modes"}, {}
     said: dict[str, str] = {}

@@ -261,13 +261,14 @@ class Scheduled:
     shaping
         Shaping of each cylinder; cylinders not named move unshaped.
     again_tick
-        Scan at which further cycles begin; 0 if every cycle is as the first.
+        Scan at which further cycles begin; 0 if all cycles are equal.
     single
-        The schedule of one cycle, for the program of a PLC, if this one has a first and a further
-        cycle.
+        The schedule of one cycle, for the program of a PLC, if this schedule has a first and a
+        further cycle.
     creeping
-        How each cylinder creeps to a late end switch: ``opening_m`` and ``every_s`` of an opening,
-        and the ringing ``rings_m`` of one; two half a period apart cancel.
+        How each cylinder creeps to a late end switch: travel ``opening_m`` in an opening of its
+        valves, time ``every_s`` between openings, and ringing ``rings_m`` after one opening; the
+        ringing of two openings half a period apart cancels.
     """
 
     job: Job
@@ -284,12 +285,12 @@ class Scheduled:
 
     @property
     def one_cycle(self) -> Scheduled:
-        """The schedule of one cycle: ``single``, or itself where every cycle is as the first."""
+        """The schedule of one cycle: ``single``, or this schedule if all cycles are equal."""
         return self if self.single is None else self.single
 
     @property
     def steady_tick(self) -> int:
-        """Scan at which the cycle begins that counts: the further one if there are two."""
+        """Scan at which the judged cycle begins: the further cycle if there are two."""
         return 0 if self.single is None else self.single.commands.duration_ticks
 
     @property

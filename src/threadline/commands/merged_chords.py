@@ -26,7 +26,7 @@ from threadline.motion.timing.types import Trajectory
 CLOSE_M = 1e-7
 """Largest error of an end point rounded to 0.0001 mm or degrees, with a margin."""
 _RISE = 1e-3  # share of a speed
-_STRAIGHT = 1e-6  # one minus the cosine of a turn that is none
+_STRAIGHT = 1e-6  # one minus the cosine of a turn that counts as straight
 
 _MOST_POINTS = 100_000
 _STRAIGHT_M = 2.0 * CLOSE_M  # points nearer to a line are on it: both its ends are rounded, too
@@ -83,17 +83,18 @@ class Chords:
     Parameters
     ----------
     target, job, trajectory
-        Firmware to write for, and the plan to write.
+        Target firmware, and job and motion of the plan.
     planned_on
         Machine of the plan.
     override
-        As in ``write_firmware_program``.
+        Factor on the feeds of the job: no chord exceeds a feed times ``override``. None if another
+        feed replaces the job's feeds.
     vertices
         Whether the plan goes through the ends of the program's moves, as a firmware itself does.
     own_feeds
         Whether F is the feed of the job, where job and target measure feeds alike. With
-        ``vertices``, moves in different directions are then not merged, and F of moves whose feed
-        was replaced is their highest speed.
+        ``vertices``, moves in different directions are then not merged, and moves with a replaced
+        feed get their highest speed as F.
     """
 
     target: str
@@ -122,7 +123,7 @@ class Chords:
         return replace(self.planned_on, operator=None)
 
     def __iter__(self) -> Iterator[Operation | Chord]:
-        """Yield operations and chords in order, and tell ``WRITING`` how far the motion is."""
+        """Yield operations and chords in order, and report the progress to ``WRITING``."""
         stretch, done_s, whole_s = _Stretch(self), 0.0, self.trajectory.duration_s
         for item in self.runs:
             if not isinstance(item, ChordRun):

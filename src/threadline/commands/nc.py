@@ -6,12 +6,13 @@ for corners blended within a stated distance of the program. LinuxCNC accepts O 
 a line, and the main program only before its subroutines; all kinds of programs keep these rules.
 
 A program for Fanuc has the time of every G1, too, and a point and at most four decimals in every
-number. Its controls write the number of passes differently: some as L, others in front of the
-number in P. Every pass is a call of its own there.
+number. Fanuc controls take the number of passes in different words: some in L, others in the first
+digits of P. The program therefore repeats the call for every pass.
 
-A winding is also written from its design, as circuits and their passes: its moves have the times in
-which the fibre has its speed, and the control plans the motion. The chords of a planned motion do
-not repeat: a plan begins and ends at rest, and its chords lie elsewhere in every circuit.
+A winding can also be written from its design, as circuits and their passes. Each move then has the
+time at which the fibre runs at its set speed, and the control plans the motion. The chords of a
+planned motion do not repeat: a plan begins and ends at rest, and its chords lie elsewhere in every
+circuit.
 """
 
 from __future__ import annotations
@@ -97,7 +98,7 @@ def fold(blocks: Iterable[OutBlock]) -> Iterator[OutBlock | Loop]:
 
 
 def _alike(body: Sequence[OutBlock], other: Sequence[OutBlock]) -> bool:
-    """Return whether two passes are equal but for the last digit of their times."""
+    """Return whether two passes are equal except for the last digit of their times."""
     return len(body) == len(other) and all(
         one == two
         or (
@@ -119,7 +120,7 @@ def _outermost_pass(block: OutBlock) -> int:
 MAIN_LABEL = 1
 _N_STEP = 5
 _N_LIMIT = 99_999
-_MOST_FANUC = 7999  # beyond it are the programs of the machine's builder
+_MOST_FANUC = 7999  # higher numbers are for programs of the builder of the machine
 
 
 class NcStyle(StrEnum):
@@ -315,7 +316,7 @@ def write_nc(job: Job, trajectory: Trajectory, machine: Machine, path: Path) -> 
 def _dark_rapids(job: Job) -> int:
     """Return the number of moves at G0; refuse a G0 with a spindle on that may be a laser.
 
-    It is none if a feed move with the spindle on goes down along Z.
+    A spindle with which a feed move goes down along Z is no laser.
     """
     spindle, power, count, at = "", 1.0, 0, job.start
     lit: tuple[str, Place] | None = None  # the first G0 with the spindle on
@@ -359,15 +360,15 @@ _STYLE_OF_TARGET = {"nc": NcStyle.LINUXCNC}
 def write_passes(job: Job, machine: Machine, path: Path, dialect: str | None = None) -> str:
     """Write a job with equal passes as calls of subroutines, in a dialect, or in the machine's.
 
-    The program is read back and compared with the job. Returns the size of the program beside that
-    of the same moves one by one, for people.
+    The program is read back and compared with the job. Returns, for people, the size of the program
+    and the size with all moves written out.
 
     Raises
     ------
     OptionError
         If the control has no subroutines.
     PlanError
-        If a part program has no word for a part of the job, or the program read back is another.
+        If a part program has no word for a part of the job, or the program read back differs.
     """
     dialect = check_passes(dialect or machine.programs.dialect)
     sizes = []

@@ -188,7 +188,7 @@ class _Words:
         words = []
         blank, incremental = self._wording.blank, self._wording.incremental
         if move.source.passes != self._passes:
-            # What rounding left over stays out of the next pass, so that passes are equal.
+            # Each pass begins without the rounding error of the last one, so passes are equal.
             self._passes = move.source.passes
             self._at = [self._exact(k, at) for k, at in enumerate(self._position)]
         for index, target in enumerate(move.target):

@@ -36,7 +36,7 @@ def shortest(wanted: float, factor: Fraction | None, read: Callable[[int], float
         error is below two units in the last place, or 1e-17 of the unit.
     """
     approximate = math.degrees(wanted) if factor is None else wanted * float(factor)
-    # Of a decimal with 15 digits at most, which reads back, these are the digits.
+    # If a decimal of at most 15 digits reads back as ``wanted``, it has these digits.
     near = f"{approximate:.15g}"
     known = None if "e" in near else exact(near)
     if known is not None and read(known) == wanted:
@@ -62,7 +62,7 @@ def shortest(wanted: float, factor: Fraction | None, read: Callable[[int], float
     return min(values, key=lambda value: abs(read(value) - wanted))
 
 
-_REMEMBERED = 1 << 15  # numbers: circuits of a winding have the same ones again and again
+_REMEMBERED = 1 << 15  # numbers kept: the circuits of a winding repeat them
 _MM = Fraction(1000)
 _COUNTING = 9  # significant digits: the time of a one-minute move is off by 60 ns
 _MM_PER_MIN = Fraction(60_000)

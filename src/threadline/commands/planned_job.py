@@ -31,8 +31,8 @@ from threadline.motion.timing.types import Trajectory
 CHORD_TOLERANCE_M = 1e-5
 _DECIMALS = 6  # decimals of a millimetre or a degree: far below the chord tolerance
 _PARTS_OF_UNIT = 1_000_000
-_STANDS = 1e-12  # m or rad: the motion of a piece by its velocity at its beginning
-_STAYS = 1e-9  # m or rad: a path leaves out a vertex this close to the one before
+_STANDS = 1e-12  # m or rad: motion of a piece at its first velocity, if the axes stand there
+_STAYS = 1e-9  # m or rad: a path leaves out a vertex this close to the previous one
 
 
 def planned_job(

@@ -56,7 +56,7 @@ class Variable:
 
     @property
     def runs(self) -> Iterator[tuple[str, int]]:
-        """Each literal of an array, with the number of times that it follows itself."""
+        """Runs of equal literals of an array: each literal, and the length of the run."""
         for literal, same in groupby(self.values):
             yield literal, len(list(same))
 
@@ -330,10 +330,10 @@ def sequence_of(
 
 
 def _again(scheduled: Scheduled, cycle: tuple[NamedPlace, ...]) -> str:
-    """Return the place with which further cycles begin: the first wait of those they have.
+    """Return the place with which further cycles begin: the first wait that they contain.
 
-    Its time is counted from there; the time limit of that wait is as long as in the first cycle or
-    longer.
+    The time of a further cycle counts from this place. The time limit of the wait is therefore at
+    least as long as in the first cycle.
     """
     if not scheduled.job.once:
         return cycle[0].name

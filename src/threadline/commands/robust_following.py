@@ -205,7 +205,7 @@ def _without_limit(
 
 
 _Ways = Sequence[Sequence[Sequence[ChangeOfSpeed]]]
-"""Groups of ways: of the ways in a group the best is used; later groups if none suffices."""
+"""Groups of ways: the best way of a group is used; a later group if none suffices."""
 
 
 class _Program:
@@ -304,7 +304,7 @@ class _Program:
 
     def _shared(self, found: list[RobustWeights], ways: _Ways) -> list[RobustWeights]:
         """Return weights that give the weakest axis more room in a corner, if they are better."""
-        # At a corner of two axes both are off; the stronger axis leaves room to the weaker one.
+        # At a corner both axes have errors; the stronger axis leaves room to the weaker one.
         weakest = int(np.argmax([weights.cost for weights in found]))
         if len(found) == 1 or _good(found[weakest], ways):
             return found
@@ -359,7 +359,7 @@ def _departures_s(change_s: float, lead_s: float) -> Sequence[Sequence[float]]:
 
 
 def _good(weights: RobustWeights, ways: _Ways) -> bool:
-    """Say whether the error is close to the difference of the planned from the wanted speed."""
+    """Say whether the error is close to the difference of planned and wanted speed."""
     planned = max(abs(1.0 - end) for change in ways[0][0] for end in change.share)
     return weights.error < planned + _CLOSE
 

@@ -54,7 +54,7 @@ from threadline.machine import Machine
 
 _SAME_M = 1e-9
 _SEEN_LAGS = 2.0
-"""Lags after which 86 % of the way of an opening are covered."""
+"""Number of lags after which the cylinder has covered 86 % of its travel in an opening."""
 
 
 def compile_schedule(
@@ -86,7 +86,7 @@ def _compiled(
         if index == job.once:
             builder.mark_again()
         if index == second:
-            # The program has one cycle: a wait in it knows no move of the cycle before.
+            # The program of a PLC has one cycle: its waits confirm no move of the cycle before.
             builder.unconfirmed.clear()
         builder.add(index, operation)
     return builder.finish()
@@ -97,12 +97,12 @@ def compile_cycles(
 ) -> tuple[Job, Scheduled]:
     """Return job and schedule of continuous production: a first cycle and a further one.
 
-    A job whose cycles are all as the first is returned as it is, with its schedule.
+    If all cycles are equal, the job itself is returned, with its schedule.
 
     Raises
     ------
     PlanError
-        As ``compile_schedule``, or if the cycle ends otherwise than a further one begins.
+        As ``compile_schedule``, or if a cycle does not end in the state where further ones begin.
     """
     single = compile_schedule(job, machine, shaping)
     if not job.once:
@@ -114,7 +114,7 @@ def compile_cycles(
 
 
 def _check_again(job: Job, single: Scheduled) -> None:
-    """Refuse a cycle that leaves outputs or cylinders otherwise than a further one finds them."""
+    """Refuse a cycle whose outputs or cylinders do not end as a further cycle begins."""
     place, machine = Place(job.file), single.machine
     commands = single.commands
     row = int(np.searchsorted(commands.ticks, single.again_tick)) - 1
@@ -143,10 +143,12 @@ def creep_of(
 ) -> Creep | None:
     """Return how a cylinder creeps to the end switch behind ``move`` in a wait at ``tick``.
 
-    It begins when the slowest valves and the longest lag of the file have brought it to rest. Each
-    opening is the shortest of the smallest level. From one to the next most of its way is covered,
-    so that the switch is read in time, and half a period of the frame passes, or three, five ...:
-    two of them cancel, and one rings at most. None: the switch is a fault before the first is over.
+    The creep begins when the cylinder stands, even with the slowest valves and the longest lag
+    within the tolerances of the file. Each opening of the valves is as short as possible, at the
+    smallest level. Before the next opening the cylinder covers most of its travel, so that the
+    switch is read in time, and an odd number of half periods of the frame passes: the ringing of
+    two openings cancels, and at most one rings. None: the missing switch is a fault before the
+    first opening is over.
 
     Parameters
     ----------
@@ -186,7 +188,7 @@ def creep_of(
 
 
 def _creep_warning(machine: Machine, move: ScheduledMove, creep: Creep) -> dict[str, float]:
-    """Return the distance of an opening, the time to the next one, and the ringing of one."""
+    """Return the travel in an opening, the time to the next one, and the ringing after one."""
     assert machine.plc is not None
     scan_s = float(machine.clock(machine.plc.clock).period_s)
     cylinder = machine.cylinders[move.axis]
@@ -338,7 +340,7 @@ class _Builder:
     def _creep(self, name: str, timeout_s: float, source: Source) -> None:
         """Let a cylinder creep to the end switch ``name`` that its last move leads to.
 
-        Only the first wait behind the move does so, and only where interlocks let it move.
+        The cylinder creeps only in the first wait after the move, if interlocks let it move.
         """
         contact = self.machine.contacts[name]
         move = self.unconfirmed.get(str(contact.cylinder))

@@ -15,8 +15,9 @@ import numpy as np
 
 from threadline.base.arrays import ComplexArray, FloatArray, IntArray, Recent
 from threadline.base.compiled import njit
-from threadline.commands.stitch_search import WIDER, FastestTurns, Speeds, Swings, fastest_turns
+from threadline.commands.stitch_search import WIDER, FastestTurns, fastest_turns
 from threadline.commands.stitch_shorten import shortest_turns
+from threadline.commands.stitch_speeds import Speeds, Swings, TurnMoves
 from threadline.commands.stitch_swings import Limits, Swung
 from threadline.dynamics.without_loop import analyse_position_drive
 from threadline.machine import Machine
@@ -26,24 +27,22 @@ from threadline.motion.laws import Law
 from threadline.motion.shaping import FlexibleMode
 from threadline.motion.shaping.law_residual import lasting_windows_s, swing
 
-Asked = tuple[FloatArray, IntArray, FloatArray]
-"""Travel of each turn, m, whether its needle enters, and the shortest turns, s."""
 Modes = dict[str, tuple[FlexibleMode, ...]]
 """Modes of each axis, the slowest first."""
 _SLOWER = 1.03  # factor on one turn for all, per trial
 _ROUNDS = 4  # searches, each with a smaller tolerance
-_LESS = 0.997  # of the tolerance that the forecast of a round asks for
-_SEARCHED, _CHECKED, _CLOSELY = 0.01, 0.004, 0.001  # distances of modes over a band
-_AS_FAR = 1.3  # times the turn that the slowest move needs alone: the fine grid of speeds
-_STEPS = (0.0053, 0.01)  # relative, of turn times: for exact modes, where phases help; for a band
+_LESS = 0.997  # factor on the tolerance that the forecast of a round asks for
+_SEARCHED, _CHECKED, _CLOSELY = 0.01, 0.004, 0.001  # relative steps of modes over a band
+_AS_FAR = 1.3  # end of the fine grid of speeds, in turns that the slowest move needs alone
+_STEPS = (0.0053, 0.01)  # relative steps of turn times, for exact modes and for a band
 _HOPELESS = 0.05  # share of turns beyond the tolerance at which no wider search helps
 _EXCESS = 1.0 + 1e-6
 _MODES = 4  # modes of an axis: faster ones hardly swing
 _BELOW = 1.0 - 1e-9
 _EVEN_TURNS, _AT_FIRST = 97, 4096  # number of turn times to try, and of moves to check first
 _ASIDE = (0.95, 1.0, 1.05)
-_WIDE = (0.015, 0.1)  # share of a mode: bands in which programs shorten the found turns
-_SLOWEST = 1.2  # of the found turns: how long a turn may become when they are shortened
+_WIDE = (0.015, 0.1)  # half width of bands for which linear programs shorten the turns
+_SLOWEST = 1.2  # longest turn of linear programs, as a factor on the longest found turn
 _FINE = 1e-3  # relative step of the turn times between which the swing of a move is interpolated
 
 
@@ -178,7 +177,7 @@ class Pace:
         return found
 
     def _over_band(self, distance: float, dampings: tuple[float, ...]) -> list[Modes]:
-        """Return the modes of machines all over the band, the ends first, nominal ones left out."""
+        """Return the modes of machines all over the band, the ends first, without the nominal."""
         widest = max((max(1.0 - low, high - 1.0) for low, high in self.bands.values()), default=0.0)
         if widest <= 0.0:
             return []
@@ -243,12 +242,12 @@ class Pace:
 
         A beam search over speed and swing finds them, on machines with the dampings of other days
         and with modes all over the band. The forecast then checks modes that are closer together;
-        where it is over the tolerance, the search is repeated for less. One time for all turns is
-        taken where that is shorter. The last designs keep their schedules.
+        if it is over the tolerance, the search is repeated with a smaller tolerance. One time for
+        all turns is used if it is shorter. The schedules of the last designs are kept.
         """
-        return self._schedules.of(moves, lambda: self._searched(moves))
+        return self._schedules.of(moves, lambda: self._search(moves))
 
-    def _searched(self, moves: Moves) -> Schedule:
+    def _search(self, moves: Moves) -> Schedule:
         ways_m: FloatArray = np.asarray(moves.units * self.tables.unit.si, dtype=np.float64)
         rigid = self.rigid_windows_s(moves) / self.share
         shortest_s: FloatArray = np.minimum(
@@ -258,12 +257,12 @@ class Pace:
         swings = self._swings(speeds)
         best: tuple[float, FastestTurns] | None = None
         bound_s: float | None = None
-        problem = (ways_m, moves.needle, shortest_s)
+        problem = TurnMoves(ways_m=ways_m, needle=moves.needle, shortest_s=shortest_s)
         for _ in range(_ROUNDS):
             found = fastest_turns(speeds, swings, problem, tolerance_m, self.share)
             if 0.0 < found.missed.mean() < _HOPELESS:
                 found = fastest_turns(speeds, swings, problem, tolerance_m, self.share, WIDER)
-            # Later rounds ask for less, so their bounds are none for the tolerance.
+            # Later rounds have smaller tolerances: their bounds do not hold for this tolerance.
             bound_s = found.bound_s if bound_s is None else bound_s
             most_m = float(self.robust_swings_m(moves, found.turn_s).max())
             if best is None or most_m < best[0]:
@@ -285,8 +284,8 @@ class Pace:
             return Schedule(turn_s=np.full(count, even), bound_s=min(bound_s, even * count))
         return Schedule(turn_s=turn_s, bound_s=bound_s)
 
-    def _shortened(self, problem: Asked, moves: Moves, found_s: FloatArray) -> FloatArray:
-        """Return the shortest turns in spec, s; within a narrow band the found turns stay."""
+    def _shortened(self, problem: TurnMoves, moves: Moves, found_s: FloatArray) -> FloatArray:
+        """Return the shortest turns within the tolerance, s; for a narrow band the found turns."""
         widest = max((max(1.0 - low, high - 1.0) for low, high in self.bands.values()), default=0.0)
         if not _WIDE[0] <= widest <= _WIDE[1]:
             return found_s
@@ -309,7 +308,7 @@ class Pace:
         return shortest_turns(found_s, (limits, swung), most_m)
 
     def _swung(self, ends_s: tuple[float, float]) -> Swung:
-        """Return what swings on machines all over the band, for turn times between ``ends_s``."""
+        """Return the modes of machines all over the band, for turn times between ``ends_s``."""
         count = 2 + ceil(np.log(ends_s[1] / ends_s[0]) / _FINE)
         log_s = np.linspace(np.log(ends_s[0]), np.log(ends_s[1]), count)
         windows = self.share * np.exp(log_s)
@@ -487,12 +486,10 @@ def _of_length(windows: FloatArray, units: IntArray) -> FloatArray:
     return np.asarray(np.max(columns, axis=0))
 
 
-def _gone_on(fresh: ComplexArray, kept: ComplexArray) -> ComplexArray:
+@njit(nogil=True)
+def _carried(fresh: ComplexArray, kept: ComplexArray) -> ComplexArray:
     """Return (n,) ``z`` with ``z[k] = z[k-1] kept[k] + fresh[k]``."""
     out = fresh.copy()
     for k in range(1, len(out)):
         out[k] += out[k - 1] * kept[k]
     return out
-
-
-_carried = njit(nogil=True)(_gone_on)

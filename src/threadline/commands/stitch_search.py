@@ -1,131 +1,36 @@
 """The fastest turns of a shaft whose frame keeps ringing: a beam search over speed and swing.
 
 Turn by turn, the state is the speed of the shaft, on a grid, and the complex swing of every mode.
-The next speed decides how long the swing decays and turns before the next move ends, and how much
-that move adds. The same swing is followed on several machines at once (damping, mode off by a
-share); each of them must be within the tolerance when a needle enters.
+The next speed decides how far the swing decays and rotates until the next move ends, and how much
+the next move adds. The search follows the swing on several machines at once (different dampings,
+modes off by a share); on each of them it must be within the tolerance when a needle enters.
 
 A dynamic program over pairs of speeds gives the shortest time to go. It assumes the best swing
 within the tolerance before each pair of turns, so it is a lower bound for every schedule on
-the grid. The beam ranks its states by the time so far plus this bound. At each speed it keeps the
-best of each cell of swings, because a long move later needs a slow turn before it, and a swing of
-the right phase. Of two states of one speed and one cell, the later one is given up.
+the grid. The beam ranks its states by the time so far plus this bound. At each speed it keeps one
+state for each cell of swings, because a later long move needs a slow turn before it, and a swing
+with the right phase. If two states have the same speed and cell, the one with the lower rank stays.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import log
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from threadline.base.arrays import ComplexArray, FloatArray, IntArray
 from threadline.base.compiled import njit
+from threadline.commands.stitch_speeds import SLACK, Speeds, Swings, TurnMoves
 
-_COARSE = 0.03  # relative steps of the turn time beyond the fine grid
 WIDTH, WIDER = 5, 20
 """States kept per turn at each speed, and in a second search."""
 _COLUMNS = 100  # with more, fewer states are kept
-_MISSING = 300  # states kept where none keeps the tolerance
+_MISSING = 300  # states kept at a turn where every state is over the tolerance
 _CELLS, _OUTER = 3.0, 12.0  # cells of the swing per tolerance, and cells to each side
 _MOST_KEPT = 60_000_000  # states of all turns
-_BUCKETS = 4096  # of ranks: states in one of them count as equal
-_SLACK = 1.0 + 1e-12
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Speeds:
-    """A grid of turn times and the pairs that may follow each other; N times, P pairs.
-
-    Parameters
-    ----------
-    turn_s
-        (N,) turn times, rising, s.
-    first
-        (N,) index of the shortest turn that may follow.
-    begin
-        (N + 1,) index of the first pair of each turn; its pairs follow by rising turn time.
-    pair_s
-        (P,) time from the end of a window to the end of the next window, s.
-    """
-
-    turn_s: FloatArray
-    first: IntArray
-    begin: IntArray
-    pair_s: FloatArray
-
-    @classmethod
-    def between(
-        cls, ends_s: tuple[float, float, float], step: float, share: float, most: float
-    ) -> Speeds:
-        """Return the grid.
-
-        Parameters
-        ----------
-        ends_s
-            Shortest turn, end of the fine grid, and longest turn, s.
-        step
-            Relative step of the turn time on the fine grid.
-        share
-            Share of the window in a turn.
-        most
-            Largest change of the square of the speed from turn to turn, 1/s^2.
-        """
-        shortest, fine, longest = ends_s
-        fine = min(max(fine, shortest * (1.0 + step)), longest)
-        count = max(2, 1 + round(log(fine / shortest) / step))
-        turn_s = np.geomspace(shortest, fine, count)
-        if turn_s[-1] < longest:
-            beyond = max(2, 1 + round(log(longest / turn_s[-1]) / _COARSE))
-            turn_s = np.concatenate((turn_s, np.geomspace(turn_s[-1], longest, beyond)[1:]))
-        turn_s[0], turn_s[-1] = shortest, longest
-        squares = turn_s**-2.0
-        near = np.abs(squares[:, None] - squares[None, :]) <= most * _SLACK
-        before, after = np.nonzero(near)
-        rest = 2.0 * (1.0 - share) / (1.0 / turn_s[before] + 1.0 / turn_s[after])
-        return cls(
-            turn_s=turn_s,
-            first=near.argmax(axis=1).astype(np.int64),
-            begin=np.concatenate(([0], np.cumsum(near.sum(axis=1)))).astype(np.int64),
-            pair_s=rest + share * turn_s[after],
-        )
-
-    @property
-    def after(self) -> IntArray:
-        """(P,) index of the following turn of each pair."""
-        counts = np.diff(self.begin)
-        number = np.arange(len(self.pair_s)) - np.repeat(self.begin[:-1], counts)
-        return np.asarray(np.repeat(self.first, counts) + number)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Swings:
-    """The effect of each turn on the swing; M columns: a mode of an axis of a machine.
-
-    The modes of one axis of one machine follow each other; their amplitudes add up.
-
-    Parameters
-    ----------
-    poles
-        (M,) decay and frequency of each mode, rad/s.
-    fresh
-        (N, M) swing at the end of a move of 1 m.
-    late
-        (N, M) share of the swing that is left when the needle enters.
-    axis, last
-        (M,) axis, and whether the column is the last of its axis and machine.
-    named
-        (A,) the column of each axis that distinguishes states.
-    """
-
-    poles: ComplexArray
-    fresh: ComplexArray
-    late: FloatArray
-    axis: IntArray
-    last: IntArray
-    named: IntArray
+_BUCKETS = 4096  # buckets of ranks; states in one bucket count as equal
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -137,7 +42,7 @@ class FastestTurns:
     turn_s
         (n,) time of each turn, s.
     missed
-        (n,) 1 where no speed in reach kept the tolerance.
+        (n,) 1 where every speed in reach is over the tolerance.
     bound_s
         No schedule on the grid takes less time, s.
     """
@@ -147,10 +52,114 @@ class FastestTurns:
     bound_s: float
 
 
+class _Frame(NamedTuple):
+    """The frame under the moves of a design, and its swing; see ``TurnMoves`` and ``Swings``.
+
+    Parameters
+    ----------
+    kept
+        (P, M) factor on the swing from the end of one window to the end of the next.
+    tolerance_m
+        Largest swing of an axis when the needle enters, m.
+    """
+
+    ways_m: FloatArray
+    needle: IntArray
+    fresh: ComplexArray
+    kept: ComplexArray
+    late: FloatArray
+    axis: IntArray
+    last: IntArray
+    named: IntArray
+    tolerance_m: float
+
+
+class _Bounds(NamedTuple):
+    """Which turn times may keep the tolerance, for the shortest time to go.
+
+    Parameters
+    ----------
+    allowed
+        (n, N) whether a turn may take a time.
+    judged
+        (n,) whether the pair of this turn and the next must keep the tolerance.
+    left
+        (N, M) the most that a swing within a tolerance of 1 m leaves at the next window, m.
+    ends_s
+        (N,) rest after the window of the last turn, s.
+    """
+
+    allowed: NDArray[np.bool_]
+    judged: NDArray[np.bool_]
+    left: FloatArray
+    ends_s: FloatArray
+
+
+class _Beam(NamedTuple):
+    """The states kept at a turn.
+
+    Parameters
+    ----------
+    at
+        (S,) index of the turn time.
+    time_s
+        (S,) time so far, s.
+    swing
+        (S, M) swing at the end of the window, m.
+    """
+
+    at: IntArray
+    time_s: FloatArray
+    swing: ComplexArray
+
+
+class _Candidates(NamedTuple):
+    """The followers of all states of a beam.
+
+    Parameters
+    ----------
+    time_s
+        Time so far, s.
+    speed
+        Index of the turn time.
+    source
+        Index of the state before.
+    pair
+        Index of the pair of turn times; meaningless at the first turn.
+    """
+
+    time_s: FloatArray
+    speed: IntArray
+    source: IntArray
+    pair: IntArray
+
+
+class _Taken(NamedTuple):
+    """The cells and speeds that states of a turn already have.
+
+    Parameters
+    ----------
+    width
+        Most states at each speed.
+    cell, turn
+        Hash table of cells: the cell in each slot, and the turn that filled the slot.
+    of_speed
+        (N,) number of states at each speed.
+    chosen
+        Candidates that became states.
+    """
+
+    width: int
+    cell: IntArray
+    turn: IntArray
+    of_speed: IntArray
+    chosen: IntArray
+
+
 def fastest_turns(
     speeds: Speeds,
     swings: Swings,
-    moves: tuple[FloatArray, IntArray, FloatArray],
+    moves: TurnMoves,
     tolerance_m: float,
     share: float,
     width: int = WIDTH,
@@ -159,8 +168,6 @@ def fastest_turns(
 
     Parameters
     ----------
-    moves
-        (n, A) travel of each turn, m; (n,) 1 where the needle enters; (n,) shortest turns, s.
     tolerance_m
         Largest swing of an axis when the needle enters, m.
     share
@@ -168,30 +175,36 @@ def fastest_turns(
     width
         States kept per turn at each speed; very long designs keep fewer.
     """
-    ways_m, needle, _ = moves
-    ends_s = (1.0 - share) * speeds.turn_s
-    after = speeds.after
-    kept = np.exp(-np.outer(speeds.pair_s, swings.poles))
-    # Two turns in a row are judged where their needles enter, and the needle before them did.
+    needle = moves.needle
+    frame = _Frame(
+        ways_m=moves.ways_m,
+        needle=needle,
+        fresh=swings.fresh,
+        kept=np.exp(-np.outer(speeds.pair_s, swings.poles)),
+        late=swings.late,
+        axis=swings.axis,
+        last=swings.last,
+        named=swings.named,
+        tolerance_m=tolerance_m,
+    )
+    # A pair of turns is judged if both needles enter, and the needle before them did.
     entered = np.concatenate(([True], needle == 1))
     judged = entered[:-1] & entered[1:] & np.append(entered[2:], False)
     for strict in (True, False):
-        allowed = _allowed(speeds, swings, moves, tolerance_m if strict else np.inf)
-        to_go = _time_to_go(
-            allowed, ends_s, speeds.begin, after, speeds.pair_s, judged & strict, tolerance_m,
-            ways_m, swings.fresh, kept, swings.axis, swings.late, _left(speeds, swings),
-        )  # fmt: skip
+        bounds = _Bounds(
+            allowed=_allowed(speeds, swings, moves, tolerance_m if strict else np.inf),
+            judged=judged & strict,
+            left=_left(speeds, swings),
+            ends_s=(1.0 - share) * speeds.turn_s,
+        )
+        to_go = _time_to_go(speeds, speeds.after, frame, bounds)
         if np.isfinite(to_go[0]).any():
             break
     bound_s = float((to_go[0] + share * speeds.turn_s).min())
-    # A wide band has many machines, and the swing of each state is followed on all of them.
+    # A wide band has many machines, and the search follows each state on all of them.
     width = max(1, width * _COLUMNS // max(_COLUMNS, len(swings.poles)))
     width = min(width, max(1, _MOST_KEPT // (len(needle) * len(speeds.turn_s))))
-    index, missed = _beam(
-        ways_m, needle, to_go, speeds.first, speeds.begin, speeds.pair_s,
-        swings.fresh, kept, swings.late, swings.axis, swings.last, swings.named,
-        tolerance_m, width,
-    )  # fmt: skip
+    index, missed = _search(to_go, speeds, frame, width)
     return FastestTurns(turn_s=speeds.turn_s[index], missed=missed, bound_s=bound_s)
 
 
@@ -205,66 +218,63 @@ def _left(speeds: Speeds, swings: Swings) -> FloatArray:
 def _allowed(
     speeds: Speeds,
     swings: Swings,
-    moves: tuple[FloatArray, IntArray, FloatArray],
+    moves: TurnMoves,
     tolerance_m: float,
 ) -> NDArray[np.bool_]:
-    """Return (n, N) whether a turn may take a time, whatever swing within the tolerance it meets.
+    """Return (n, N) whether a turn may take a time: some earlier swing lets it keep the tolerance.
 
-    The swing before a turn is at most the tolerance if a needle entered then, and decays at least
-    over the window and the shortest rest.
+    If the needle of the turn before entered, its swing was at most the tolerance then. It decays at
+    least over the window and the shortest rest.
     """
     ways_m, needle, shortest_s = moves
-    allowed = speeds.turn_s[None, :] >= shortest_s[:, None] / _SLACK
+    allowed = speeds.turn_s[None, :] >= shortest_s[:, None] / SLACK
     if not np.isfinite(tolerance_m):
         return np.asarray(allowed)
     left = _left(speeds, swings)
     entered = np.concatenate(([1], needle[:-1])) == 1
     judged = np.flatnonzero((needle == 1) & entered)
     for column in range(len(swings.poles)):
-        # Before the first turn nothing swings, which this bound leaves out.
+        # This bound does not use that nothing swings before the first turn.
         most = tolerance_m * (1.0 / swings.late[:, column] + left[:, column])
         with np.errstate(divide="ignore"):
             longest_m = most / np.abs(swings.fresh[:, column])
         ways = np.abs(ways_m[judged, swings.axis[column]])
-        allowed[judged] &= ways[:, None] <= longest_m[None, :] * _SLACK
+        allowed[judged] &= ways[:, None] <= longest_m[None, :] * SLACK
     return np.asarray(allowed)
 
 
-def _possible(
-    k: int, i: int, j: int, pair: int, tolerance_m: float,
-    ways_m: FloatArray, fresh: ComplexArray, kept: ComplexArray, axis: IntArray,
-    late: FloatArray, left: FloatArray,
-) -> bool:  # fmt: skip
+@njit(nogil=True)
+def _pair_possible(k: int, i: int, j: int, pair: int, frame: _Frame, left: FloatArray) -> bool:
     """Return whether some swing before turn ``k`` lets this turn and the next keep the tolerance.
 
-    The swing at the end of the window of ``k`` is in three disks: around 0 for its needle, around
-    the swing of its move for earlier swings, and around the swing that the next move cancels. If
-    two of them do not meet, no swing is in all.
+    Three disks bound the swing at the end of the window of ``k``: one around 0 (the needle of
+    ``k``), one around the swing of the move of ``k`` (earlier swings), and one around the swing
+    that the next move cancels. If two of them do not meet, no swing is in all three.
     """
+    ways_m, fresh, kept, axis, late = frame.ways_m, frame.fresh, frame.kept, frame.axis, frame.late
+    tolerance_m = frame.tolerance_m
     for c in range(len(axis)):
         z = kept[pair, c]
         share = np.sqrt(z.real * z.real + z.imag * z.imag)
         then = tolerance_m / late[j, c]
         own = ways_m[k + 1, axis[c]] * fresh[j, c]
-        most = (then + share * tolerance_m / late[i, c]) * _SLACK
+        most = (then + share * tolerance_m / late[i, c]) * SLACK
         if own.real * own.real + own.imag * own.imag > most * most:
             return False
         both = own + z * (ways_m[k, axis[c]] * fresh[i, c])
-        most = (then + share * tolerance_m * left[i, c]) * _SLACK
+        most = (then + share * tolerance_m * left[i, c]) * SLACK
         if k > 0 and both.real * both.real + both.imag * both.imag > most * most:
             return False
-        if k == 0 and both.real * both.real + both.imag * both.imag > then * then * _SLACK:
+        if k == 0 and both.real * both.real + both.imag * both.imag > then * then * SLACK:
             return False
     return True
 
 
-def _to_go(
-    allowed: NDArray[np.bool_], ends_s: FloatArray,
-    begin: IntArray, after: IntArray, pair_s: FloatArray, judged: NDArray[np.bool_],
-    tolerance_m: float, ways_m: FloatArray, fresh: ComplexArray, kept: ComplexArray,
-    axis: IntArray, late: FloatArray, left: FloatArray,
-) -> FloatArray:  # fmt: skip
+@njit(nogil=True)
+def _time_to_go(speeds: Speeds, after: IntArray, frame: _Frame, bounds: _Bounds) -> FloatArray:
     """Return (n, N) the shortest time from the window of each turn to the end; inf if none."""
+    allowed, judged, left, ends_s = bounds
+    begin, pair_s = speeds.begin, speeds.pair_s
     turns, count = allowed.shape
     found = np.full((turns, count), np.inf)
     for j in range(count):
@@ -278,36 +288,29 @@ def _to_go(
             for pair in range(begin[i], begin[i + 1]):
                 j = after[pair]
                 time = pair_s[pair] + found[k + 1, j]
-                if time < best and (
-                    not judged[k]
-                    or _pair(k, i, j, pair, tolerance_m, ways_m, fresh, kept, axis, late, left)
-                ):
+                if time < best and (not judged[k] or _pair_possible(k, i, j, pair, frame, left)):
                     best = time
             found[k, i] = best
     return found
 
 
-def _value(
-    k: int, h: int, j: int, c: int, pair: int,
-    ways_m: FloatArray, fresh: ComplexArray, kept: ComplexArray, axis: IntArray,
-    swing: ComplexArray,
-) -> complex:  # fmt: skip
-    """Return the swing of a column at the end of window ``k``."""
-    value = ways_m[k, axis[c]] * fresh[j, c]
-    if k > 0:
-        value += swing[h, c] * kept[pair, c]
-    return value  # type: ignore[no-any-return]
+@njit(nogil=True)
+def _swing(turn: int, way_m: float, fresh: complex, before: complex, kept: complex) -> complex:
+    """Return the swing at the end of a window; ``before`` is the swing at the end of the last."""
+    own = way_m * fresh
+    return own + before * kept if turn > 0 else own
 
 
-def _largest(
-    k: int, h: int, j: int, pair: int, most_m: float,
-    ways_m: FloatArray, fresh: ComplexArray, kept: ComplexArray, axis: IntArray,
-    swing: ComplexArray, late: FloatArray, last: IntArray,
-) -> float:  # fmt: skip
-    """Return the largest swing of an axis when the needle enters; above ``most_m``, any above."""
+@njit(nogil=True)
+def _largest_swing(
+    k: int, h: int, j: int, pair: int, most_m: float, frame: _Frame, swing: ComplexArray
+) -> float:
+    """Return the largest swing of an axis when the needle enters; any value above ``most_m``."""
+    ways_m, fresh, kept, axis = frame.ways_m, frame.fresh, frame.kept, frame.axis
+    late, last = frame.late, frame.last
     worst, total = 0.0, 0.0
-    for c in range(len(axis)):
-        value = _swung(k, h, j, c, pair, ways_m, fresh, kept, axis, swing)
+    for c in range(len(last)):
+        value = _swing(k, ways_m[k, axis[c]], fresh[j, c], swing[h, c], kept[pair, c])
         total += np.sqrt(value.real * value.real + value.imag * value.imag) * late[j, c]
         if last[c] == 1:
             worst = max(worst, total)
@@ -317,13 +320,20 @@ def _largest(
     return worst
 
 
-def _continued(
-    k: int, states: int, at: IntArray, so_far: FloatArray,
-    to_go: FloatArray, first: IntArray, begin: IntArray, pair_s: FloatArray,
-    time: FloatArray, speed: IntArray, source: IntArray,
-) -> int:  # fmt: skip
-    """Fill ``time`` to ``source`` with the followers of each state; return their number."""
-    found = 0
+@njit(nogil=True)
+def _find_followers(
+    k: int, states: int, beam: _Beam, to_go: FloatArray, speeds: Speeds, found: _Candidates
+) -> int:
+    """Fill ``found`` with the followers of each state; return their number."""
+    at, so_far, first, begin, pair_s = (
+        beam.at,
+        beam.time_s,
+        speeds.first,
+        speeds.begin,
+        speeds.pair_s,
+    )
+    time, speed, source, pair = found
+    count = 0
     for h in range(states):
         low, high = 0, to_go.shape[1]
         if k > 0:
@@ -331,14 +341,15 @@ def _continued(
             high = low + begin[at[h] + 1] - begin[at[h]]
         for j in range(low, high):
             if to_go[k, j] < np.inf:
-                pair = begin[at[h]] + j - low
-                time[found] = so_far[h] + pair_s[pair] if k > 0 else 0.0
-                speed[found], source[found] = j, h
-                found += 1
-    return found
+                pair[count] = begin[at[h]] + j - low
+                time[count] = so_far[h] + pair_s[pair[count]] if k > 0 else 0.0
+                speed[count], source[count] = j, h
+                count += 1
+    return count
 
 
-def _sorted(rank: FloatArray, found: int, count: IntArray, order: IntArray) -> None:
+@njit(nogil=True)
+def _sort(rank: FloatArray, found: int, count: IntArray, order: IntArray) -> None:
     """Fill ``order`` with the places of ``rank`` by rising value, to a share of their range."""
     least, most = np.inf, -np.inf
     for q in range(found):
@@ -355,27 +366,28 @@ def _sorted(rank: FloatArray, found: int, count: IntArray, order: IntArray) -> N
         count[b] += 1
 
 
-def _selected(
-    k: int, most_m: float, order: IntArray, at: IntArray, first: IntArray, begin: IntArray,
-    needle: IntArray, ways_m: FloatArray, fresh: ComplexArray, kept: ComplexArray,
-    axis: IntArray, swing: ComplexArray, late: FloatArray, last: IntArray, named: IntArray,
-    tolerance_m: float, width: int, speed: IntArray, source: IntArray,
-    seen: IntArray, stamp: IntArray, of_speed: IntArray, chosen: IntArray,
+@njit(nogil=True)
+def _select(
+    k: int, most_m: float, order: IntArray, frame: _Frame, swing: ComplexArray,
+    found: _Candidates, taken: _Taken,
 ) -> int:  # fmt: skip
-    """Fill ``chosen`` with the first of each speed and cell in ``order``; return their number.
+    """Choose the first of each speed and cell in ``order``; return their number.
 
-    Swings are calculated only for states that still have a place at their speed.
+    The swing is calculated only while its speed has a place left.
     """
+    ways_m, fresh, kept, axis = frame.ways_m, frame.fresh, frame.kept, frame.axis
+    needle, named, tolerance_m = frame.needle, frame.named, frame.tolerance_m
+    speed, source, pairs = found.speed, found.source, found.pair
+    width, seen, stamp, of_speed, chosen = taken
     of_speed[:] = 0
     states = 0
     for q in order:
-        h, j = source[q], speed[q]
+        h, j, pair = source[q], speed[q], pairs[q]
         if of_speed[j] >= width:
             continue
-        pair = begin[at[h]] + j - first[at[h]]
         cell: Any = j
         for c in named:
-            value = _swung(k, h, j, c, pair, ways_m, fresh, kept, axis, swing)
+            value = _swing(k, ways_m[k, axis[c]], fresh[j, c], swing[h, c], kept[pair, c])
             # Swings far outside of the tolerance share the outer cells.
             for part in (value.real, value.imag):
                 near = min(max(part * (_CELLS / tolerance_m), -_OUTER), _OUTER)
@@ -385,10 +397,9 @@ def _selected(
             slot = (slot + 1) % len(seen)
         if stamp[slot] == k:
             continue
-        if needle[k] == 1 and most_m < np.inf:
-            over = _most(k, h, j, pair, most_m, ways_m, fresh, kept, axis, swing, late, last)
-            if over > most_m:
-                continue
+        over_is_refused = needle[k] == 1 and most_m < np.inf
+        if over_is_refused and _largest_swing(k, h, j, pair, most_m, frame, swing) > most_m:
+            continue
         stamp[slot], seen[slot] = k, cell
         of_speed[j] += 1
         chosen[states] = q
@@ -398,74 +409,69 @@ def _selected(
     return states
 
 
+@njit(nogil=True)
 def _search(
-    ways_m: FloatArray, needle: IntArray, to_go: FloatArray,
-    first: IntArray, begin: IntArray, pair_s: FloatArray,
-    fresh: ComplexArray, kept: ComplexArray, late: FloatArray,
-    axis: IntArray, last: IntArray, named: IntArray, tolerance_m: float, width: int,
-) -> tuple[IntArray, IntArray]:  # fmt: skip
+    to_go: FloatArray, speeds: Speeds, frame: _Frame, width: int
+) -> tuple[IntArray, IntArray]:
     """Return (n,) index of the turn time of each turn, and (n,) 1 where the tolerance is missed."""
+    ways_m, fresh, kept, axis = frame.ways_m, frame.fresh, frame.kept, frame.axis
+    needle, tolerance_m, columns = frame.needle, frame.tolerance_m, len(axis)
     turns, count = to_go.shape
     most_states = width * count
-    room = max(width * len(pair_s), count)
-    time, rank, order = np.empty(room), np.empty(room), np.empty(room, np.int64)
-    speed, source = np.empty(room, np.int64), np.empty(room, np.int64)
-    buckets, chosen = np.empty(_BUCKETS, np.int64), np.empty(most_states, np.int64)
-    back, taken = np.empty((turns, most_states), np.int32), np.empty((turns, most_states), np.int16)
-    missed = np.zeros(turns, np.int64)
-    at, so_far = np.zeros(most_states, np.int64), np.zeros(most_states)
-    swing = np.zeros((most_states, len(axis)), np.complex128)
+    room = max(width * len(speeds.pair_s), count)
+    rank, order, buckets = np.empty(room), np.empty(room, np.int64), np.empty(_BUCKETS, np.int64)
+    found = _Candidates(
+        np.empty(room), np.empty(room, np.int64), np.empty(room, np.int64), np.empty(room, np.int64)
+    )
     places = 4 * most_states + 1
-    seen, stamp = np.zeros(places, np.int64), np.full(places, -1, np.int64)
-    of_speed = np.zeros(count, np.int64)
+    taken = _Taken(
+        width,
+        np.zeros(places, np.int64),
+        np.full(places, -1, np.int64),
+        np.zeros(count, np.int64),
+        np.empty(most_states, np.int64),
+    )
+    beam = _Beam(
+        np.zeros(most_states, np.int64),
+        np.zeros(most_states),
+        np.zeros((most_states, columns), np.complex128),
+    )
+    back = np.empty((turns, most_states), np.int32)
+    speed_of = np.empty((turns, most_states), np.int16)
+    missed = np.zeros(turns, np.int64)
     states = 1
     for k in range(turns):
-        found = _followers(k, states, at, so_far, to_go, first, begin, pair_s, time, speed, source)
-        states_now = 0
+        followers = _find_followers(k, states, beam, to_go, speeds, found)
+        states = 0
         for most_m in (tolerance_m, np.inf):
-            for q in range(found):
-                rank[q] = time[q] + to_go[k, speed[q]]
+            for q in range(followers):
+                j = found.speed[q]
+                rank[q] = found.time_s[q] + to_go[k, j]
                 if most_m == np.inf and needle[k] == 1:
                     # The least swing goes first; the time decides among equals.
-                    h, j = source[q], speed[q]
-                    pair = begin[at[h]] + j - first[at[h]]
-                    over = _most(
-                        k, h, j, pair, most_m, ways_m, fresh, kept, axis, swing, late, last
-                    )
+                    h, pair = found.source[q], found.pair[q]
+                    over = _largest_swing(k, h, j, pair, most_m, frame, beam.swing)
                     rank[q] = over + 1e-9 * tolerance_m * rank[q]
-            _by_rank(rank, found, buckets, order)
-            states_now = _best_states(
-                k, most_m, order[:found], at, first, begin, needle, ways_m, fresh, kept, axis,
-                swing, late, last, named, tolerance_m, width, speed, source,
-                seen, stamp, of_speed, chosen,
-            )  # fmt: skip
-            if states_now > 0:
+            _sort(rank, followers, buckets, order)
+            states = _select(k, most_m, order[:followers], frame, beam.swing, found, taken)
+            if states > 0:
                 break
             missed[k] = 1
-        states = states_now
-        new_swing = np.empty((states, len(axis)), np.complex128)
+        new_swing = np.empty((states, columns), np.complex128)
         new_at, new_time = np.empty(states, np.int64), np.empty(states)
         for s in range(states):
-            h, j = source[chosen[s]], speed[chosen[s]]
-            pair = begin[at[h]] + j - first[at[h]]
-            for c in range(len(axis)):
-                new_swing[s, c] = _swung(k, h, j, c, pair, ways_m, fresh, kept, axis, swing)
-            new_at[s], new_time[s] = j, time[chosen[s]]
-            back[k, s], taken[k, s] = h, j
-        at[:states], so_far[:states], swing[:states] = new_at, new_time, new_swing
-    best = int(np.argmin(so_far[:states] + to_go[turns - 1][at[:states]]))
+            q = taken.chosen[s]
+            h, j, pair = found.source[q], found.speed[q], found.pair[q]
+            for c in range(columns):
+                new_swing[s, c] = _swing(
+                    k, ways_m[k, axis[c]], fresh[j, c], beam.swing[h, c], kept[pair, c]
+                )
+            new_at[s], new_time[s] = j, found.time_s[q]
+            back[k, s], speed_of[k, s] = h, j
+        beam.at[:states], beam.time_s[:states], beam.swing[:states] = new_at, new_time, new_swing
+    best = int(np.argmin(beam.time_s[:states] + to_go[turns - 1][beam.at[:states]]))
     index = np.empty(turns, np.int64)
     for k in range(turns - 1, -1, -1):
-        index[k] = taken[k, best]
+        index[k] = speed_of[k, best]
         best = back[k, best]
     return index, missed
-
-
-_pair = njit(nogil=True)(_possible)
-_time_to_go = njit(nogil=True)(_to_go)
-_swung = njit(nogil=True)(_value)
-_most = njit(nogil=True)(_largest)
-_followers = njit(nogil=True)(_continued)
-_by_rank = njit(nogil=True)(_sorted)
-_best_states = njit(nogil=True)(_selected)
-_beam = njit(nogil=True)(_search)

@@ -1,24 +1,23 @@
 """A schedule of turns made shorter, or brought within its tolerance, by linear programs.
 
-A search on a grid of speeds leaves time between its speeds, and on machines all over a wide band it
-misses passages that are narrower than its grid. Here the turns of a window of the schedule change
-together, by a little: the swings are linear in that change, the limit of the spindle is linear in
-the square of the speed. Swing over the tolerance costs a price, so a start that is over it is
-corrected. Windows overlap, and are solved one after the other until none gains any more. Swings are
-not quite linear: if the exact sum of swings after a step exceeds the tolerance, the program gets a
-tolerance that is lower by the excess, and is solved again. A step that does not gain is not taken;
-the next is smaller.
+A search on a grid of speeds wastes the time between its speeds. On machines all over a wide band it
+also misses passages that are narrower than its grid. Here the turns of a window of the schedule
+change together, by a little: the swings are linear in that change, and the limit of the spindle is
+linear in the square of the speed. Swing over the tolerance costs a price, so a start over the
+tolerance is corrected. Windows overlap, and are solved one after the other until no window gains
+time. Swings are not quite linear: if the exact sum of swings after a step exceeds the tolerance,
+the program is solved again with a tolerance that is lower by the excess. A step without gain is not
+taken, and the next step is smaller.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from functools import partial
 
 import numpy as np
 
-from threadline.base.arrays import ComplexArray, FloatArray, IntArray
+from threadline.base.arrays import FloatArray, IntArray
 from threadline.base.compiled import njit
 from threadline.base.linear_programs import solved
 from threadline.commands.stitch_priced import PricedRequest, priced_turns
@@ -37,30 +36,30 @@ _FIRST, _MOST, _LEAST = 0.05, 0.1, 1e-3  # relative change of the square of a sp
 _WIDER, _NARROWER = 1.6, 0.4
 _STEPS, _SWEEPS = 3, 12
 _CORRECTIONS = 2  # times that a program is solved again for the error of its step
-_ENOUGH = 2e-5  # of the time of a window: a smaller gain is none
-_PRICES = (17.0, 100.0, 1000.0)  # of 100 % over the tolerance at a needle, in turns at full speed
+_ENOUGH = 2e-5  # share of the time of a window: smaller gains do not count
+_PRICES = (17.0, 100.0, 1000.0)  # for 100 % over the tolerance at a needle, in fastest turns
 _GRID = 0.01  # relative step of the turn times of a search of all turns
-# Price as above, share of the tolerance. With the lower price a search passes where a needle is
-# over the tolerance; which share leads to turns that the programs can mend differs by design.
+# Price as above, share of the tolerance. At the lower price a search may pass with a needle over
+# the tolerance. Which share leads to turns that the programs can correct depends on the design.
 _SEARCHES = ((1000.0, 0.985), (100.0, 1.0), (100.0, 0.99), (100.0, 0.98))
-_MUCH = 0.97  # of the time of the found turns: schedules that are shorter need no more searches
+_MUCH = 0.97  # share of the time of the found turns: after a shorter schedule the searches end
 _REFUSED, _WIDTH, _CELLS = 0.1, 8, 3.0  # share over the tolerance, states at each time, cells
 _EXCESS = 1.0 + 1e-6
-_LOW, _HIGH = 0.6, 0.7  # of the tolerance: swings that are watched, in one and in three directions
+_LOW, _HIGH = 0.6, 0.7  # shares of the tolerance: watched swings, in one and in three directions
 _ASIDE = np.array([0.0, 0.45, -0.45])  # rad
-# Of the tolerance and of the change of speed: a swing bends within a step.
+# Share of tolerance and change of speed for the programs: swings are not linear within a step.
 _INSIDE = 1.0 - 2.5e-3
-_BETWEEN = 1.0 - 3.5e-3  # of the tolerance at last: modes between the watched ones swing more
+_BETWEEN = 1.0 - 3.5e-3  # share of the tolerance at the end: modes between rows swing more
 
 
 def shortest_turns(
     found_s: FloatArray, given: tuple[Limits, Swung], most_m: Callable[[FloatArray], float]
 ) -> FloatArray:
-    """Return the shortest turns that come of several starts and keep the tolerance, s.
+    """Return the shortest turns within the tolerance that several starts lead to, s.
 
-    The starts are the found turns and priced searches on a grid of speeds: some go over the
-    tolerance where that saves much time, one hardly anywhere. They end with the first that gains
-    much. If no start leads to turns within the tolerance, the found turns are returned.
+    The starts are the found turns, then priced searches on a grid of speeds: most of them may
+    exceed the tolerance where that saves much time, one hardly may. The first start that gains much
+    is the last one. If no start leads to turns within the tolerance, the found turns are returned.
 
     Parameters
     ----------
@@ -101,15 +100,15 @@ def shortened(turn_s: FloatArray, limits: Limits, swung: Swung) -> FloatArray:
     """Return (n,) turns that are shorter than ``turn_s``, or less over the tolerance, s."""
     turns = np.array(turn_s, dtype=np.float64)
     for price in _PRICES:
-        _swept(turns, (limits, swung), price)
-    # Not before: from a start that is farther over a tolerance fewer programs find a way within.
-    tighter = replace(limits, tolerance_m=limits.tolerance_m * _BETWEEN)
-    _swept(turns, (tighter, swung), _PRICES[-1])
+        _sweep(turns, (limits, swung), price)
+    # Only at the end: fewer programs succeed from a start that is farther over its tolerance.
+    tighter = limits._replace(tolerance_m=limits.tolerance_m * _BETWEEN)
+    _sweep(turns, (tighter, swung), _PRICES[-1])
     return turns
 
 
-def _swept(turns: FloatArray, given: tuple[Limits, Swung], price: float) -> None:
-    """Solve window after window in place until none gains."""
+def _sweep(turns: FloatArray, given: tuple[Limits, Swung], price: float) -> None:
+    """Solve window after window, changing ``turns``, until no window gains time."""
     starts = list(range(0, max(1, len(turns) - _WINDOW + _APART), _APART))
     step = np.full(len(starts), _FIRST)
     restless = np.ones(len(starts), dtype=bool)
@@ -120,7 +119,7 @@ def _swept(turns: FloatArray, given: tuple[Limits, Swung], price: float) -> None
             if not restless[number]:
                 continue
             step[number] = max(float(step[number]), 2.0 * _LEAST)
-            gained, step[number] = _window(turns, first, float(step[number]), given, price)
+            gained, step[number] = _change_window(turns, first, float(step[number]), given, price)
             restless[number] = gained
             if gained:
                 restless[max(0, number - 1) : number + 2] = True
@@ -144,7 +143,7 @@ def _slope(turn_s: FloatArray, share: float) -> FloatArray:
     return slope
 
 
-def _worth(
+def _cost_and_swings(
     turns: FloatArray, first: int, given: tuple[Limits, Swung], price: float
 ) -> tuple[float, Sums]:
     """Return the time around a window with the price of swings over the tolerance, and swings."""
@@ -158,14 +157,14 @@ def _worth(
     return time_s + price_s * float(_beyond(swings, turns, first, given).sum()), swings
 
 
-def _window(
+def _change_window(
     turns: FloatArray, first: int, step: float, given: tuple[Limits, Swung], price: float
 ) -> tuple[bool, float]:
-    """Change the turns of one window in place; return whether that gained, and the next step."""
+    """Change the turns of one window; return whether that gained time, and the next step."""
     count = len(turns)
     end, watched = min(count, first + _WINDOW), min(count, first + _WINDOW + _AFTER)
     price_s = price * float(given[0].shortest_s.min())
-    worth, swings = _worth(turns, first, given, price)
+    worth, swings = _cost_and_swings(turns, first, given, price)
     gained = False
     for _ in range(_STEPS):
         back = np.zeros(watched - first)
@@ -175,10 +174,10 @@ def _window(
                 break
             then = turns.copy()
             then[first:end] = changed
-            worth_then, swings_then = _worth(then, first, given, price)
+            worth_then, swings_then = _cost_and_swings(then, first, given, price)
             if worth - worth_then > _ENOUGH * worth:
                 break
-            # The swing bends: a needle gets as much less as its swing was too large.
+            # Swings are not linear: the limit of a needle is lowered by the excess of its swing.
             over = _beyond(swings_then, then, first, given)
             if not over.any():
                 break
@@ -197,8 +196,8 @@ def _beyond(swings: Sums, turns: FloatArray, first: int, given: tuple[Limits, Sw
     """Return by how much each watched needle of a window is over the tolerance, in shares."""
     limits, swung = given
     before = max(0, first - BEFORE)
-    watched = before + len(swings[0])
-    over = amplitudes(swings[0], turns[before:watched], swung)[first - before :].max(axis=1)
+    watched = before + len(swings.swing)
+    over = amplitudes(swings.swing, turns[before:watched], swung)[first - before :].max(axis=1)
     beyond = np.maximum(0.0, over / (limits.tolerance_m * _INSIDE) - 1.0)
     return np.where(limits.needle[first:watched] == 1, beyond, 0.0)
 
@@ -217,10 +216,7 @@ def _program(
     first, end, watched = span
     before = max(0, first - BEFORE)
     unknown, needles = end - first, watched - first
-    rows, room, of = _watched_rows(
-        np.array([first, end, watched, before]), turns, *swings, limits.needle,
-        swung.poles, swung.begin, swung.row, swung.late, limits.tolerance_m * _INSIDE,
-    )  # fmt: skip
+    rows, room, of = _watched_rows((first, end, watched, before), turns, swings, limits, swung)
     square = turns**-2.0
     near = np.arange(max(0, first - 1), min(len(turns), end + 1))
     change = np.diff(square[near])
@@ -254,16 +250,24 @@ def _program(
     return np.asarray((inside * (1.0 + found.x[:unknown])) ** -0.5)
 
 
-def _rows_of(
-    span: IntArray, turns: FloatArray, swing: ComplexArray, kept: ComplexArray,
-    own: ComplexArray, last: ComplexArray, needle: IntArray, poles: ComplexArray,
-    begin: IntArray, row: IntArray, late: float, tolerance_m: float,
-) -> tuple[FloatArray, FloatArray, IntArray]:  # fmt: skip
+@njit(nogil=True)
+def _watched_rows(
+    span: tuple[int, int, int, int], turns: FloatArray, sums: Sums, limits: Limits, swung: Swung
+) -> tuple[FloatArray, FloatArray, IntArray]:
     """Return (R, n) rows, (R,) room left and (R,) needle of each, in shares of the tolerance.
 
     Among neighbours in frequency, only the mode with the largest swing has a row.
+
+    Parameters
+    ----------
+    span
+        First turn that changes, end of the turns that change, end of the watched turns, and first
+        turn of ``sums``.
     """
-    first, end, watched, before = span[0], span[1], span[2], span[3]
+    first, end, watched, before = span
+    swing, kept, own, last = sums
+    needle, tolerance_m = limits.needle, limits.tolerance_m * _INSIDE
+    poles, begin, row, late = swung.poles, swung.begin, swung.row, swung.late
     groups = len(row)
     most = 3 * groups * (watched - first)
     rows, room = np.zeros((most, end - first)), np.empty(most)
@@ -315,6 +319,3 @@ def _rows_of(
         for j in range(end - first):
             rows[r, j] *= -0.5 * turns[first + j]
     return rows[:found], room[:found], of[:found]
-
-
-_watched_rows = njit(nogil=True)(_rows_of)

@@ -1,25 +1,41 @@
 """The swing of an embroidery frame turn by turn, on machines all over a band of modes, with slopes.
 
 The swing at the end of a move is interpolated between turn times that are 0.1 % apart. The slopes
-say how the swing changes with the time of a turn and with the time of the turn before it.
+are the derivatives of the swing with respect to the time of its turn and of the turn before it.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from threadline.base.arrays import ComplexArray, FloatArray, IntArray
 from threadline.base.compiled import njit
 
-Sums = tuple[ComplexArray, ComplexArray, ComplexArray, ComplexArray]
-"""(n, M) swing at the end of each window, share kept of the last one, derivatives by both turns."""
 BEFORE = 40  # turns before a stretch that still swing
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Swung:
+class Sums(NamedTuple):
+    """Swing at the end of each window, with slopes; n turns, M columns.
+
+    Parameters
+    ----------
+    swing
+        (n, M) swing at the end of the window of each turn, m.
+    kept
+        (n, M) factor on the swing from the end of the window before to the end of this window.
+    own, last
+        (n, M) derivative of the swing with respect to this turn and to the turn before, m/s.
+    """
+
+    swing: ComplexArray
+    kept: ComplexArray
+    own: ComplexArray
+    last: ComplexArray
+
+
+class Swung(NamedTuple):
     """The swinging modes; M columns, each a mode of an axis of a machine; G groups, A axes.
 
     The columns of a group are the modes of one axis of one machine; their amplitudes add up.
@@ -33,7 +49,7 @@ class Swung:
     begin
         (G + 1,) first column of each group.
     row
-        (G,) groups of one axis and one damping have one number here, in order of frequency.
+        (G,) row of each group: the groups of one axis and one damping, in order of frequency.
     log_s
         (2,) logarithm of the first turn time of ``fresh``, and its step.
     fresh
@@ -51,9 +67,8 @@ class Swung:
     late: float
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Limits:
-    """The limits of a schedule; n turns, A axes.
+class Limits(NamedTuple):
+    """The moves of a schedule and its limits; n turns, A axes.
 
     Parameters
     ----------
@@ -61,8 +76,10 @@ class Limits:
         (n, A) travel of each turn, m.
     needle
         (n,) 1 where the needle enters.
-    shortest_s, slowest_s
-        (n,) shortest turns, s; longest turn, s.
+    shortest_s
+        (n,) shortest time of each turn, s.
+    slowest_s
+        Longest time of a turn, s.
     share
         Share of the window in a turn.
     change
@@ -80,19 +97,11 @@ class Limits:
     tolerance_m: float
 
 
-def swings_of(before: int, end: int, turns: FloatArray, limits: Limits, swung: Swung) -> Sums:
-    """Return the sums of the turns from ``before`` to ``end``; nothing swings before them."""
-    return _summed(
-        before, end, turns, limits.ways_m, limits.share, swung.axis, swung.poles, swung.log_s,
-        swung.fresh,
-    )  # fmt: skip
-
-
 def swings_before(first: int, turns: FloatArray, limits: Limits, swung: Swung) -> ComplexArray:
     """Return (M,) the swing at the end of the window before turn ``first``, m; 0 before any."""
     if first == 0:
         return np.zeros(len(swung.poles), dtype=np.complex128)
-    return np.asarray(swings_of(max(0, first - BEFORE), first, turns, limits, swung)[0][-1])
+    return np.asarray(swings_of(max(0, first - BEFORE), first, turns, limits, swung).swing[-1])
 
 
 def amplitudes(swing: ComplexArray, turn_s: FloatArray, swung: Swung) -> FloatArray:
@@ -101,14 +110,10 @@ def amplitudes(swing: ComplexArray, turn_s: FloatArray, swung: Swung) -> FloatAr
     return np.add.reduceat(np.abs(swing) * late, swung.begin[:-1], axis=1)
 
 
-def _sums(
-    before: int, end: int, turns: FloatArray, ways_m: FloatArray, share: float,
-    axis: IntArray, poles: ComplexArray, log_s: FloatArray, fresh: ComplexArray,
-) -> Sums:  # fmt: skip
-    """Return swings at the ends of windows, what is kept, and derivatives by this and last turn.
-
-    All are (n, M), for the turns from ``before`` to ``end``; nothing swings before them.
-    """
+def _swings_of(before: int, end: int, turns: FloatArray, limits: Limits, swung: Swung) -> Sums:
+    """Return the swings and slopes of turns ``before`` to ``end``; nothing swings before them."""
+    axis, poles, log_s, fresh = swung.axis, swung.poles, swung.log_s, swung.fresh
+    ways_m, share = limits.ways_m, limits.share
     count, columns = end - before, len(poles)
     swing = np.zeros((count, columns), np.complex128)
     kept = np.zeros((count, columns), np.complex128)
@@ -139,7 +144,7 @@ def _sums(
                 last[q, m] = -poles[m] * carried * by_last
             swing[q, m] = value
             own[q, m] = slope
-    return swing, kept, own, last
+    return Sums(swing, kept, own, last)
 
 
-_summed = njit(nogil=True)(_sums)
+swings_of = njit(nogil=True)(_swings_of)

@@ -95,7 +95,7 @@ def plc_program(scheduled: Scheduled, cell: tuple[str, str] = ("cell", "cpu")) -
     assert machine.plc is not None
     roles = {kind: _of_kind(machine, kind) for kind in ("light-grid", "enable", *_ONCE)}
     names = Names(_INTERNAL)
-    # First of all: these names have to stay as they are.
+    # First, so that these names stay unchanged.
     configuration, resource = names.give(cell[0]), names.give(cell[1])
     block_name, main_name = names.give(scheduled.job.name), names.give(f"{machine.name}_main")
     inputs = {contact: names.give(contact) for contact in machine.contacts}

@@ -216,11 +216,11 @@ def _stop(sequence: Sequence) -> Iterator[str]:
     yield ""
 
 
-_PASSES = 3  # of the loop over transitions in a scan: it enters a place, and leaves it at once
+_PASSES = 3  # passes of the loop over transitions in a scan: it may enter and leave a place
 
 
 def branches_in_scan(body: tuple[str, ...]) -> int:
-    """Return the number of branches to which a controller comes in a scan at most."""
+    """Return the largest number of branches that a controller evaluates in a scan."""
     count, often = 0, 1
     for line in body:
         often = _PASSES if line.startswith("WHILE ") else often

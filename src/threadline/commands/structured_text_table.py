@@ -27,7 +27,7 @@ TABLE_NAMES = (
     "first_of", "every_of", "open_of", "rest_of", "row", "look", "step_now", "waits", "stays",
     "fires", "awaited", "proper", "asked",
 )  # fmt: skip
-_NOTHING, _OPENING = 0, -1  # waits: of a place that ends by time, and of an opening or of idle
+_NOTHING, _OPENING = 0, -1  # wait of a place that ends by time; of an opening, and of idle
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

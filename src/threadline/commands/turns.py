@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 _CONVERGED = 1.0 + 1e-5
-"""Share of a tolerance up to which rounding puts no stitch beyond it."""
+"""Factor on a tolerance: a stitch beyond it is over the tolerance by more than rounding."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -153,7 +153,7 @@ class Stitched:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Which stitches the forecast has beyond the tolerance, unless the user gave the speed."""
+        """Stitches that the forecast puts beyond the tolerance, unless the user gave the speed."""
         if self.given:
             return ()
         turns, limit_m = self.turns, self.pace.tolerance_m

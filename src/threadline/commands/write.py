@@ -145,17 +145,18 @@ def _keeps_vertices(plan: WrittenPlan) -> bool:
 def _of_firmware(name: str) -> Target:
     def write_one(plan: WrittenPlan, path: Path, slower: bool) -> Written:
         from threadline.commands.firmware_program import write_firmware_program
+        from threadline.commands.merged_chords import Chords
 
-        return write_firmware_program(
+        chords = Chords(
             name,
             plan.job,
             plan.motion.trajectory,
             plan.machine,
-            path,
-            programmed=plan.motion.programmed,
-            override=plan.feed_override,
+            plan.feed_override,
             vertices=_keeps_vertices(plan),
-            slower=slower,
+        )
+        return write_firmware_program(
+            chords, path, programmed=plan.motion.programmed, slower=slower
         )
 
     def no_slower(plan: WrittenPlan, path: Path) -> list[Written]:

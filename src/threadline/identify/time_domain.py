@@ -38,7 +38,7 @@ from threadline.machine.controllers import Dac, PController, StateSpaceControlle
 from threadline.machine.parts import Body, Encoder
 from threadline.machine.quantity import Provenance, Quantity
 from threadline.machine.variants import load_by_counts
-from threadline.twin.batch import simulate_batch
+from threadline.twin.batch import BatchOptions, simulate_batch
 
 _PHASES = 8
 _MOVING_S = 0.5
@@ -137,9 +137,9 @@ class RecordingData:
                 self.simulated,
                 several,
                 encoder_phase=phase,
-                settle_s=0.0,
-                channels=tuple(self.measured),
-                watch_current=False,
+                options=BatchOptions(
+                    settle_s=0.0, channels=tuple(self.measured), watch_current=False
+                ),
             )
         except MachineError:
             # A variant cannot be simulated: find it; the caller takes NaN as infinitely wrong.

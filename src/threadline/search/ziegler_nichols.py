@@ -28,7 +28,7 @@ from threadline.errors import MachineError
 from threadline.files import Stream, TickBlock, TickTable
 from threadline.identify.time_domain import driven_by_volts
 from threadline.machine import Machine
-from threadline.twin.batch import simulate_batch
+from threadline.twin.batch import BatchOptions, simulate_batch
 
 _GAINS = 24  # number of gains tried side by side in each round
 _ROUNDS = 3
@@ -166,10 +166,9 @@ def _runs(
         commands,
         machine,
         numbers,
-        settle_s=0.0,
-        channels=(f"{axis}.measured",),
-        watch_current=False,
-        quantised=False,
+        options=BatchOptions(
+            settle_s=0.0, channels=(f"{axis}.measured",), watch_current=False, quantised=False
+        ),
     )
     return batch.samples[f"{axis}.measured"]
 
@@ -223,8 +222,7 @@ def reaction_curve(machine: Machine, axis: str) -> ReactionCurve:
             _table(driven_machine, axis, position.astype(np.int64)),
             driven_machine,
             None,
-            settle_s=0.0,
-            channels=(f"{axis}.load", f"{axis}.current_peak"),
+            options=BatchOptions(settle_s=0.0, channels=(f"{axis}.load", f"{axis}.current_peak")),
         )
         load = runs.samples[f"{axis}.load"][:, 0]
         if _within_limits(machine, axis, load, runs.samples[f"{axis}.current_peak"][:, 0]):

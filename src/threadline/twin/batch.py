@@ -47,8 +47,8 @@ class BatchResult:
     end
         (V, axes) load at the last tick, m or rad.
     lowest, highest
-        (V, axes) smallest and largest load position from ``window_s`` on, m or rad; None without
-        it.
+        (V, axes) smallest and largest load position from ``window_s`` on, m or rad; None if
+        ``window_s`` is.
     current_peak
         (V, axes) current of largest magnitude, A; None if it was not watched or if ``channels``
         were sampled (which may include ``X.current_peak``).
@@ -72,25 +72,53 @@ class BatchResult:
     samples: Mapping[str, FloatArray]
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BatchOptions:
+    """Options of a batch.
+
+    Parameters
+    ----------
+    settle_s
+        Simulated time after the last row.
+    window_s
+        ``lowest`` and ``highest`` are recorded from this time on; None omits them.
+    channels
+        Channels to sample every ``record_every`` ticks, out of ``"X.load"``, ``"X.measured"``,
+        ``"X.voltage"``, ``"X.current"``, ``"X.current_peak"``.
+    record_every
+        Number of ticks from sample to sample.
+    watch_current
+        False omits ``current_peak``, for speed.
+    quantised
+        False omits the rounding of encoders and DACs.
+    threads
+        Cores to use; None for all.
+    """
+
+    settle_s: float = DEFAULT_SETTLE_S
+    window_s: float | None = None
+    channels: tuple[str, ...] = ()
+    record_every: int = 1
+    watch_current: bool = True
+    quantised: bool = True
+    threads: int | None = None
+
+
+_USUAL = BatchOptions()
+
+
 def simulate_batch(
     commands: TickTable,
     machine: Machine,
     variants: Mapping[str, FloatArray] | None = None,
     *,
     encoder_phase: FloatArray | None = None,
-    settle_s: float = DEFAULT_SETTLE_S,
-    window_s: float | None = None,
-    channels: tuple[str, ...] = (),
-    record_every: int = 1,
-    watch_current: bool = True,
-    quantised: bool = True,
-    threads: int | None = None,
+    options: BatchOptions = _USUAL,
 ) -> BatchResult:
     """Simulate variants of ``machine`` that differ in some numbers, under the same ``commands``.
 
     Each variant gives the same result as ``simulate`` with a machine of those numbers. Memory grows
-    with the number of variants, not with the length of the commands, unless ``channels`` are
-    requested.
+    with the number of variants, not with the length of the commands, unless channels are requested.
 
     Parameters
     ----------
@@ -99,19 +127,6 @@ def simulate_batch(
         values.
     encoder_phase
         (V, axes) or (axes,) position of each encoder between two counts; None: 0.5.
-    settle_s
-        Simulated time after the last row.
-    window_s
-        ``lowest`` and ``highest`` are recorded from this time on; None omits them.
-    channels
-        Channels to sample every ``record_every`` ticks, out of ``"X.load"``, ``"X.measured"``,
-        ``"X.voltage"``, ``"X.current"``, ``"X.current_peak"``.
-    watch_current
-        False omits ``current_peak``, for speed.
-    quantised
-        False omits the rounding of encoders and DACs.
-    threads
-        Cores to use; None for all.
 
     Raises
     ------
@@ -120,24 +135,14 @@ def simulate_batch(
     MachineError
         If a variant cannot be simulated.
     """
-    check_commands(commands, machine, record_every, settle_s)
+    check_commands(commands, machine, options.record_every, options.settle_s)
     values = Values.of(machine, variants)
     count, phases = _phases(machine, values, encoder_phase)
     if values.count != count:
         values = Values(machine, values.replaced, count)
     parts, order = [], []
     for sharing, places in values.by_delay():
-        batch = _Batch(
-            commands,
-            sharing.machine,
-            settle_s,
-            window_s,
-            channels,
-            record_every,
-            watch_current,
-            quantised,
-            threads or cpu_count() or 1,
-        )
+        batch = _Batch(commands, sharing.machine, options)
         parts += [
             batch.run(sharing.slice(at, at + _AT_ONCE), phases[places[at : at + _AT_ONCE]])
             for at in range(0, sharing.count, _AT_ONCE)
@@ -166,33 +171,28 @@ def _phases(
 
 @dataclass(frozen=True, slots=True)
 class _Batch:
-    """Common arguments of all parts of a batch."""
+    """Work of all parts of a batch: one machine under the same commands."""
 
     commands: TickTable
     machine: Machine
-    settle_s: float
-    window_s: float | None
-    channels: tuple[str, ...]
-    every: int
-    watch_current: bool
-    quantised: bool
-    threads: int
+    options: BatchOptions
 
     def run(self, values: Values, phases: FloatArray) -> BatchResult:
-        commands, machine = self.commands, self.machine
+        commands, machine, options = self.commands, self.machine, self.options
         engine = Engine(machine, values, commands.start_counts / commands.counts_per_unit)
         wanted = self._wanted(engine)
         tick_s = float(machine.tick_clock.period_s)
-        window = NEVER if self.window_s is None else ceil(self.window_s / tick_s)
-        kept: dict[str, list[FloatArray]] = {name: [] for name in self.channels}
-        peak = self.watch_current or any(".current" in c for c in self.channels)
+        window = NEVER if options.window_s is None else ceil(options.window_s / tick_s)
+        kept: dict[str, list[FloatArray]] = {name: [] for name in options.channels}
+        peak = options.watch_current or any(".current" in c for c in options.channels)
+        threads = options.threads or cpu_count() or 1
         started = engine.start(
-            phases, watch_current=peak, quantised=self.quantised, threads=self.threads
+            phases, watch_current=peak, quantised=options.quantised, threads=threads
         )
         with started as run:
             readings = {reading for reading, _, _ in wanted.values()}
             for travelled in self._positions(self._rows_at_once(run, readings)):
-                read = run.advance(travelled, readings, every=self.every, window=window)
+                read = run.advance(travelled, readings, every=options.record_every, window=window)
                 for name, (reading, scale, offset) in wanted.items():
                     kept[name].append(offset + scale * read[reading])
         return self._result(run, kept)
@@ -200,7 +200,10 @@ class _Batch:
     def _rows_at_once(self, run: Run, readings: set[Reading]) -> int:
         if not readings:
             return _MOST_ROWS
-        return min(_MOST_ROWS, max(1, _MOST_BYTES // run.sample_bytes(readings)) * self.every)
+        return min(
+            _MOST_ROWS,
+            max(1, _MOST_BYTES // run.sample_bytes(readings)) * self.options.record_every,
+        )
 
     def _positions(self, most: int) -> Iterator[IntArray]:
         """Yield (n, axes) commanded counts since the start, ``most`` ticks at a time."""
@@ -210,7 +213,7 @@ class _Batch:
                 after = position + np.cumsum(block.counts[at : at + most], axis=0)
                 yield np.concatenate((position[None], after[:-1]))
                 position = after[-1]
-        left = ceil(self.settle_s / float(self.machine.tick_clock.period_s)) + 1
+        left = ceil(self.options.settle_s / float(self.machine.tick_clock.period_s)) + 1
         while left:
             count = min(left, most)
             yield np.broadcast_to(position, (count, len(position)))
@@ -232,12 +235,12 @@ class _Batch:
             ):
                 if Reading(signal, name) in known:
                     offers[f"{name}.{channel}"] = (Reading(signal, name), factor, offset)
-        for channel in self.channels:
+        for channel in self.options.channels:
             if channel not in offers:
                 raise OptionError(
                     f"no channel {channel!r}", remedy=f"There are {', '.join(offers)}."
                 )
-        return {channel: offers[channel] for channel in self.channels}
+        return {channel: offers[channel] for channel in self.options.channels}
 
     def _result(self, run: Run, kept: dict[str, list[FloatArray]]) -> BatchResult:
         names, commands = self.machine.axis_names, self.commands
@@ -251,7 +254,8 @@ class _Batch:
                 remedy="Choose variants nearer to the machine.",
             )
         start = commands.start_counts / commands.counts_per_unit
-        windowed, peak = self.window_s is not None, self.watch_current and not self.channels
+        windowed = self.options.window_s is not None
+        peak = self.options.watch_current and not self.options.channels
         return BatchResult(
             axes=names,
             worst_error=measures.worst,
@@ -299,7 +303,7 @@ _SHARED = (ChannelKind.COMMANDED, ChannelKind.OPERATION)
 def simulate_position_runs(
     commands: TickTable, machines: Sequence[Machine], *, encoder_phase: FloatArray
 ) -> Recording | None:
-    """Simulate machines with position-commanded drives together, bit by bit as ``simulate``.
+    """Simulate machines with position-commanded drives together; the bits are as by ``simulate``.
 
     Parameters
     ----------

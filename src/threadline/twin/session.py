@@ -28,7 +28,7 @@ from threadline.twin.row_session import Part, RowSession, joined
 if TYPE_CHECKING:
     from threadline.twin.unwinding import Unwinding
 
-_SETTLES_S = 2.0  # of the loops under the pull of the fibre, before the first tick
+_SETTLES_S = 2.0  # time of the loops to settle under the pull of the fibre, before the first tick
 _REBUILT = frozenset(("channels", "_clock", "_sources", "_readings", "_run"))
 
 
@@ -114,7 +114,7 @@ class Session(RowSession):
         start_si = self._start / machine.counts_per_unit
         self._fibre: Unwinding | None = None
         if machine.unwinds:
-            from threadline.twin.unwinding import Unwinding  # of winders with a spool alone
+            from threadline.twin.unwinding import Unwinding  # only for winders with a spool
 
             self._fibre = Unwinding(machine, self._values, start_si)
         self._begin(engine)

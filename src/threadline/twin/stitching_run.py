@@ -10,6 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import lru_cache
 from math import ceil
+from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import expm
@@ -24,15 +25,15 @@ from threadline.machine import Machine
 from threadline.machine.sources import PulseServo
 
 _TERMS = 20
-_NORM = 1.0  # of the rates over an interval; the remainder of the series is below 1e-18
+_NORM = 1.0  # most of rate times interval; the remainder of the series is then below 1e-18
 _MOST_PARTS = 1024
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Driven:
-    """A machine whose drives follow steps, as one linear system that is advanced by intervals.
+    """A machine whose drives follow steps, as one linear system that advances by intervals.
 
-    The m states are, for each connected piece, its states and then positions and speeds of its
+    The m states are, for each connected piece, its own states, then positions and speeds of its
     servos. A is the number of axes.
 
     Parameters
@@ -154,8 +155,47 @@ def _powers(
     return np.asarray(expm(rates * interval_s)), np.stack(terms)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Library:
+class _Interval(NamedTuple):
+    """The linear system of ``Driven`` over an interval, transposed: sums run along the memory.
+
+    Parameters
+    ----------
+    step
+        (m, m) transition matrix.
+    held
+        (A, m) effect of one step before the interval.
+    series
+        (terms, A, m) effect of one step within the interval.
+    parts
+        Number of intervals from sample to sample.
+    """
+
+    step: FloatArray
+    held: FloatArray
+    series: FloatArray
+    parts: int
+
+
+class _Turns(NamedTuple):
+    """The turns of a block; n turns.
+
+    Parameters
+    ----------
+    begin
+        (n,) tick at which each window begins.
+    scale
+        (n,) ticks in a timer count.
+    table, sign
+        (n, A) index of each step table, -1 for no move, and direction of its steps.
+    """
+
+    begin: IntArray
+    scale: FloatArray
+    table: IntArray
+    sign: IntArray
+
+
+class Library(NamedTuple):
     """All step tables of a program in one array.
 
     Parameters
@@ -188,8 +228,7 @@ def _joined(tables: tuple[StepTable, ...]) -> Library:
     )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Played:
+class Played(NamedTuple):
     """State of a run; ``play`` changes it in place.
 
     Parameters
@@ -236,27 +275,35 @@ def play(
         scale = block.window / float(commands.window_angle)
     states = np.empty((count, len(played.state)))
     steps = np.empty((count, len(played.steps)))
-    # Transposed, so that the sums run along the memory without a change of their order.
-    _run(
+    interval = _Interval(
         np.ascontiguousarray(driven.step.T),
         np.ascontiguousarray((driven.held * driven.scale).T),
         np.ascontiguousarray((driven.series * driven.scale).transpose(0, 2, 1)),
         driven.parts,
-        library.times, library.begins, block.begin, scale, block.table, block.sign,
-        float(first * every), float(every), played.state, played.steps, played.turn, played.at,
-        states, steps,
-    )  # fmt: skip
+    )
+    turns = _Turns(block.begin, scale, block.table, block.sign)
+    ticks = float(first * every), float(every)
+    _forward(interval, library, turns, played, ticks, states, steps)
     return states, steps
 
 
+@njit(nogil=True)
 def _forward(
-    step: FloatArray, held: FloatArray, series: FloatArray, parts: int,
-    times: IntArray, begins: IntArray, begin: IntArray, scale: FloatArray,
-    table: IntArray, sign: IntArray,
-    from_tick: float, every: float, state: FloatArray, given: FloatArray,
-    turn: IntArray, at: IntArray, states: FloatArray, steps: FloatArray,
+    system: _Interval, library: Library, turns: _Turns, played: Played,
+    ticks: tuple[float, float], states: FloatArray, steps: FloatArray,
 ) -> None:  # fmt: skip
-    """Fill ``states`` and ``steps``; each axis is at step ``at`` in the table of its ``turn``."""
+    """Fill ``states`` and ``steps``; each axis is at step ``at`` in the table of its ``turn``.
+
+    Parameters
+    ----------
+    ticks
+        First tick, and ticks from sample to sample.
+    """
+    step, held, series, parts = system
+    times, begins = library
+    begin, scale, table, sign = turns
+    state, given, turn, at = played
+    from_tick, every = ticks
     terms, axes, size = series.shape
     sums = np.zeros((axes, terms))
     fresh = np.zeros(size)
@@ -307,6 +354,3 @@ def _forward(
                             fresh[i] += series[n, a, i] * value
             for i in range(size):
                 state[i] = fresh[i]
-
-
-_run = njit(nogil=True)(_forward)

@@ -35,6 +35,7 @@ from threadline.twin.switching_run import (
     UNBOUNDED,
     WAIT,
     Orders,
+    Record,
     Units,
     begin,
     flows_of,
@@ -47,7 +48,7 @@ _MAX_STALL_S = 60.0
 _SAMPLES = 1 << 13
 """Samples in a block of a recording; more only if a single scan has more."""
 _SCANS_DRAWN = 4093
-"""Scans whose lateness is drawn; then it repeats."""
+"""Number of scans with drawn delays; then the delays repeat."""
 _AT_ONCE = 128
 """Number of variants whose tables are in memory at the same time."""
 
@@ -68,7 +69,7 @@ class SwitchOptions:
         and a wait sets it to the expected value.
     scans
         Seed of the instants at which scans begin, within the jitter of the machine file. None:
-        every scan begins in time.
+        every scan begins on time.
     """
 
     after_s: float = 1.0
@@ -256,7 +257,7 @@ def orders_of(
 
 
 def _late_scans(machine: Machine, seed: int | None, scan: int) -> IntArray:
-    """Return by how much scans begin late in units of the machine, even within the jitter."""
+    """Return the delays of scans in units of the machine, drawn evenly within the jitter."""
     assert machine.plc is not None
     if seed is None or machine.plc.jitter is None:
         return np.zeros(1, dtype=np.int64)
@@ -286,7 +287,7 @@ def _read(
     over = np.empty((len(waits), 2), dtype=np.int64)
     first = 0
     while progress.plc[PHASE] in {RUNNING, CALMING}:
-        count, ended = run(orders, progress, bank, motion, out, rows, over, UNBOUNDED)
+        count, ended = run(orders, progress, bank, motion, Record(out, rows, over), UNBOUNDED)
         _refuse_stall(commands, progress.plc)
         yield run_block(
             channels,

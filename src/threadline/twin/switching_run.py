@@ -141,8 +141,8 @@ class Orders(NamedTuple):
     creep_level, creep_flowing
         (W, C) and (W, C, F) as ``level`` and ``flowing``, during an opening.
     contact_cylinder, contact_at, contact_above
-        (M,) cylinder that closes each contact, the stroke at which it does, m, and whether it is
-        closed above that stroke or below. Cylinder -1: no cylinder closes it; -2: the light grid.
+        (M,) cylinder that closes each contact, stroke at which the contact switches, m, and whether
+        it is closed above or below that stroke. Cylinder -1: none; -2: the light grid.
     duration, after
         Length of the schedule, and simulated time after the end, in scans.
     break_s, period_s, step_s
@@ -150,8 +150,8 @@ class Orders(NamedTuple):
     scan, sample
         Periods of scan and sample in units of the machine.
     late, room
-        (J,) by how much each scan begins late, or early if negative, in those units, again and
-        again; and the largest number of samples in a scan.
+        (J,) delay of each scan in those units, negative if it begins early, repeated; and the
+        largest number of samples in a scan.
     opened, shut
         (C, F) time from a command to the change of the flow when a flow control or its valve opens,
         and when it closes, with the dead time of the cylinder; in units of the cylinder.
@@ -216,11 +216,31 @@ class Progress(NamedTuple):
     last: IntArray
 
 
+class Record(NamedTuple):
+    """Output of ``run``.
+
+    Parameters
+    ----------
+    out
+        (samples, columns), with room for the samples of at least one scan.
+    rows
+        (samples, 2) current row of the schedule, and the latest row that was reached. -1 in the
+        first column: all outputs are off; numbers after the last row: the opening of each wait. -1
+        in the second column: before the first row.
+    over
+        (waits, 2) index of each wait that ended, and the sample at which it did.
+    """
+
+    out: FloatArray
+    rows: IntArray
+    over: IntArray
+
+
 def begin(orders: Orders) -> Progress:
     """Return the progress at the start: nothing switched."""
     (count, most), rows = orders.opened.shape, len(orders.ticks)
     if orders.wait_creep[:, OPENS].any():
-        # In each scan under way at most one change: openings are on their way for a dead time.
+        # A scan sends at most one change, and each change is under way for a dead time.
         late = np.maximum(orders.opened, orders.shut).max(axis=1) // (orders.scan * orders.share)
         rows += int(late.max()) + 2
     plc = np.zeros(PLC_STATE, dtype=np.int64)
@@ -259,7 +279,7 @@ def _closed(m: int, place: float, time_s: float, orders: Orders, free: IntArray)
 
 
 def _switch(orders: Orders, progress: Progress, bank: Bank, motion: Motion) -> int:
-    """Run the PLC at the beginning of a scan; return the index of a wait that ended, or -1."""
+    """Run the PLC at the start of a scan; return the index of the wait that ended, or -1."""
     plc = progress.plc
     if plc[PHASE] == CALMING:
         plc[ROW] = -1
@@ -281,7 +301,7 @@ def _switch(orders: Orders, progress: Progress, bank: Bank, motion: Motion) -> i
     if held:
         m = orders.wait_contact[w]
         if not orders.wait_given[w]:
-            # A contact that no cylinder closes takes the expected value when it is waited for.
+            # A contact without a cylinder takes the expected value as soon as a wait needs it.
             progress.free[m] = orders.wait_value[w]
         there = contact(m, now_s, orders, progress, bank, motion) == (orders.wait_value[w] != 0)
         if creep(w, there, orders, plc):
@@ -302,7 +322,7 @@ def _switch(orders: Orders, progress: Progress, bank: Bank, motion: Motion) -> i
 def _creep(w: int, there: bool, orders: Orders, plc: IntArray) -> bool:
     """Open and shut the valves in a scan of wait ``w``; return whether the wait is over.
 
-    ``there`` tells whether its input has the expected value.
+    ``there`` tells whether the input of the wait has the expected value.
     """
     own = orders.wait_creep[w]
     if own[OPENS] == 0:
@@ -368,9 +388,11 @@ def _send(c: int, start: int, orders: Orders, progress: Progress) -> None:
 
 
 def _sample(
-    at: int, time_s: float, out: FloatArray, rows: IntArray, orders: Orders, progress: Progress,
-    bank: Bank, motion: Motion,
+    at: int, time_s: float, record: Record, orders: Orders, progress: Progress, bank: Bank,
+    motion: Motion,
 ) -> None:  # fmt: skip
+    """Write row ``at`` of the record."""
+    out, rows = record.out, record.rows
     count = len(orders.share)
     for c in range(count):
         out[at, PER_CYLINDER * c] = stroke_of(c, bank, motion)
@@ -394,36 +416,28 @@ def _level_of(c: int, orders: Orders, plc: IntArray) -> float:
 
 
 def _run(
-    orders: Orders, progress: Progress, bank: Bank, motion: Motion, out: FloatArray,
-    rows: IntArray, over: IntArray, until: int,
-) -> tuple[int, int]:  # fmt: skip
-    """Simulate scan by scan until ``out`` may be full or the run ends; return two counts.
+    orders: Orders, progress: Progress, bank: Bank, motion: Motion, record: Record, until: int
+) -> tuple[int, int]:
+    """Simulate scan by scan until the record may be full or the run ends; return two counts.
 
     The counts are the number of samples, and the number of waits that ended.
 
     Parameters
     ----------
-    out
-        (samples, columns), with room for the samples of at least one scan.
-    rows
-        (samples, 2) current row of the schedule, -1 for all outputs off, behind the rows one for
-        the openings of each wait; and the latest row that was reached, -1 before the first.
-    over
-        (waits, 2) index of each wait that ended, and the sample at which it did.
     until
         Scan before which the function returns in any case.
     """
-    plc = progress.plc
+    plc, over = progress.plc, record.over
     most, period = orders.room, len(orders.late)
     filled, ended_waits = 0 * most, 0
-    while plc[PHASE] <= CALMING and filled + most <= len(out) and plc[SCAN] < until:
+    while plc[PHASE] <= CALMING and filled + most <= len(record.out) and plc[SCAN] < until:
         if plc[PHASE] == RUNNING and plc[TICK] >= orders.duration:
             plc[PHASE] = CALMING
         done = switch(orders, progress, bank, motion)
         if plc[PHASE] == STALLED:
             break
         even = plc[SCAN] * orders.scan
-        # The first scan begins in time: nothing happens before.
+        # The first scan begins on time: nothing happens before it.
         start = even + (orders.late[plc[SCAN] % period] if plc[SCAN] else 0)
         if done >= 0:
             over[ended_waits, 0], over[ended_waits, 1] = done, start // orders.sample
@@ -434,7 +448,7 @@ def _run(
         while now < stop:
             if now == plc[SAMPLE] * orders.sample:
                 time_s = plc[SCAN] * orders.period_s + (now - even) / orders.sample * orders.step_s
-                sample(filled, time_s, out, rows, orders, progress, bank, motion)
+                sample(filled, time_s, record, orders, progress, bank, motion)
                 filled += 1
                 plc[SAMPLE] += 1
             then = min(stop, plc[SAMPLE] * orders.sample)

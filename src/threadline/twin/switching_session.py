@@ -43,6 +43,7 @@ from threadline.twin.switching_run import (
     WAIT,
     Orders,
     Progress,
+    Record,
     begin,
     run,
 )
@@ -245,7 +246,8 @@ class SwitchingSession:
         out, rows = np.empty((room, columns)), np.empty((room, 2), dtype=np.int64)
         over = np.empty((len(self._waits) + 1, 2), dtype=np.int64)
         first = self.sample
-        count, ended = run(orders, progress, self._bank, self._motion, out, rows, over, until)
+        record = Record(out, rows, over)
+        count, ended = run(orders, progress, self._bank, self._motion, record, until)
         return run_block(
             self.channels,
             (out[:count, :-1], rows[:count], over[:ended]),

@@ -1,18 +1,19 @@
 """The fibre of a simulated winder: where it lies, how fast it is drawn, and how it pulls.
 
-Everything follows from the positions that the axes really have, from the mandrel that is mounted,
-and from the spool of the machine file. The fibre is laid as ``winding.replay`` does it, tick by
-tick; its speed through the eye moves spool and arm (``dynamics.spool``), and their tension pulls at
-the eye and turns the mandrel back. No plan is read.
+The actual positions of the axes, the mounted mandrel, and the spool in the machine file determine
+the fibre. It is laid tick by tick, as in ``winding.replay``. Its speed through the eye moves spool
+and arm (``dynamics.spool``); their tension pulls at the eye and turns the mandrel back. No plan is
+read.
 
-Until the mandrel is commanded to turn, the fibre is only tied: under tension and in the direction
-in which the winding begins, if the mandrel knows that, else slack with the arm on its lower stop.
-Where the place of the fibre is lost, nothing is drawn until it is found again.
+Until the mandrel is commanded to turn, the fibre is only tied: under tension in the direction in
+which the winding begins, if the mandrel gives that direction, else slack, with the arm on its lower
+stop. If the place of the fibre is lost, no fibre is drawn until the place is found again.
 """
 
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from threadline.base.arrays import FloatArray, IntArray
 from threadline.base.compiled import njit
@@ -126,11 +127,11 @@ class Unwinding:
         Parameters
         ----------
         commanded
-            (axes,) commanded positions before it.
+            (axes,) commanded positions before the tick.
         positions, rates
             (runs, axes) positions and velocities.
         operation
-            Operation of the job that is commanded, by which the brake is set.
+            Commanded operation of the job, which sets the brake.
         """
         self._set_brake(operation)
         eyes = self._eyes_at(positions)
@@ -144,15 +145,14 @@ class Unwinding:
         for k, axis, factor in self._moved:
             speeds[:, k] = factor * rates[:, axis]
         if self._turns:
-            _advance(
-                self._eyes, eyes, speeds, self._tables, (self._begun, self._laid, self._leads),
-                self._spools, self._numbers, self._tick_s, self._steps,
-            )  # fmt: skip
+            fibre = self._begun, self._laid, self._leads
+            spools = self._spools, self._numbers, self._steps
+            _advance(self._eyes, eyes, speeds, self._tables, fibre, spools, self._tick_s)
         self._eyes = eyes
         self._pull()
 
     def _begin(self, eyes: FloatArray) -> None:
-        """Look for the fibre in the runs where it is not known, as ``winding.replay`` does."""
+        """Look for the fibre in the runs where its place is unknown, as ``winding.replay`` does."""
         for run in np.flatnonzero(~self._begun):
             tied = self._tied if self._never[run] else None
             places = self._places if tied is None else tied
@@ -170,8 +170,8 @@ class Unwinding:
 @njit(nogil=True)
 def _advance(
     before: FloatArray, eyes: FloatArray, speeds: FloatArray, tables: Tables,
-    fibre: tuple[FloatArray, FloatArray, FloatArray], spools: FloatArray, numbers: FloatArray,
-    tick_s: float, steps: IntArray,
+    fibre: tuple[NDArray[np.bool_], FloatArray, FloatArray],
+    spools: tuple[FloatArray, FloatArray, IntArray], tick_s: float,
 ) -> None:  # fmt: skip
     """Lay the fibre of every run from (runs, 6) eyes to the next, and advance its spool.
 
@@ -182,10 +182,11 @@ def _advance(
     fibre
         (runs,) whether the place of the fibre is known; (runs, 12) states as in ``lay``; (runs, 6)
         fibre per coordinate as in ``leads``. All are updated.
-    spools, numbers, steps
+    spools
         States, numbers and steps in a tick of the spools; see ``dynamics.spool``.
     """
     begun, states, found = fibre
+    wound, numbers, steps = spools
     chain, work = np.empty((2, 6)), np.empty((2, 15))
     laid = Laid(np.zeros(1, dtype=np.int64), np.zeros((1, 10)), np.zeros((1, 3)))
     group = np.array([0, 1])
@@ -200,4 +201,4 @@ def _advance(
             leads(eyes[run], states[run], tables, work, found[run])
             for k in range(6):
                 speed += found[run, k] * speeds[run, k]
-        unwind(spools[run], numbers[run], used, speed, tick_s, steps[run])
+        unwind(wound[run], numbers[run], used, speed, tick_s, steps[run])

@@ -126,8 +126,7 @@ def study_cam(
     *,
     fairing: Fairing = Fairing.SPLINE,
     noise_m: float | None = None,
-    start_rad: float | None = None,
-    end_rad: float | None = None,
+    rise_rad: tuple[float | None, float | None] = (None, None),
     epsilon_m: float | None = None,
     most_passes: int = MOST_PASSES,
     draws: int = DRAWS,
@@ -138,7 +137,7 @@ def study_cam(
     ----------
     noise_m
         Standard deviation of the measuring error; estimated from differences when None.
-    start_rad, end_rad
+    rise_rad
         Cam angles at which the rise starts and ends; found from the dwells when None.
     epsilon_m, most_passes
         Parameters of the rebound: see :func:`threadline.motion.laws.fairing.rebound`.
@@ -151,6 +150,7 @@ def study_cam(
         If a number is not positive, the noise cannot be estimated, there is no rise or no row
         within it, or the law of the chosen fairing cannot be made.
     """
+    start_rad, end_rad = rise_rad
     for what, value in (("noise", noise_m), ("epsilon", epsilon_m), ("passes", most_passes)):
         if value is not None and not 0.0 < value < np.inf:
             raise OptionError(f"cam: the {what} must be positive, got {value:g}")
@@ -218,7 +218,10 @@ def study_cam(
         cam=cam, noise_m=noise, noise_given=noise_m is not None, rise=rise,
         fairings=tuple(table), chosen=fairing, law=law, outliers=outliers,
         scaled=scaled, rebounded=bounced,
-        warnings=tuple(_warnings(cam, rise, chosen, bounced, epsilon_m, noise, smooth, outliers)),
+        warnings=(
+            *_warnings_of_rows(cam, rise, outliers),
+            *_warnings_of_fit(chosen, bounced, epsilon_m, noise, smooth),
+        ),
     )  # fmt: skip
 
 
@@ -323,10 +326,7 @@ def _second(x: FloatArray, y: FloatArray) -> float:
     return float(np.abs(second_differences(x, y)).max())
 
 
-def _warnings(
-    cam: MeasuredCam, rise: Rise, chosen: Faired, bounced: Rebound, epsilon: float | None,
-    noise: float, smooth: Smoothed, outliers: tuple[int, ...],
-) -> list[str]:  # fmt: skip
+def _warnings_of_rows(cam: MeasuredCam, rise: Rise, outliers: tuple[int, ...]) -> list[str]:
     said = []
     if cam.flags:
         angles = ", ".join(f"{np.degrees(cam.alpha_rad[flag.row]):g}" for flag in cam.flags)
@@ -343,6 +343,13 @@ def _warnings(
         )
     if not (rise.start_found and rise.end_found):
         said += [line for line in rise.said if "no dwell" in line]
+    return said
+
+
+def _warnings_of_fit(
+    chosen: Faired, bounced: Rebound, epsilon: float | None, noise: float, smooth: Smoothed
+) -> list[str]:
+    said = []
     if epsilon is not None:
         said.append(
             f"epsilon alone flattens the cam: the rebound goes on to a single cubic; after "
@@ -357,9 +364,10 @@ def _warnings(
             f"{smooth.missed:.3g} times the noise: the noise is larger than given, rows are "
             "wrong, or the ends are not at rest"
         )
-    if smooth.freedom > 0.7 * len(cam.h_m):
+    rows = len(chosen.distances_m)
+    if smooth.freedom > 0.7 * rows:
         said.append(
-            f"{len(cam.h_m)} rows are few: the fit uses {smooth.freedom:.3g} parameters for them, "
+            f"{rows} rows are few: the fit uses {smooth.freedom:.3g} parameters for them, "
             "so that Ca and Cj are little more than the smoothing"
         )
     return said

@@ -22,6 +22,7 @@ from threadline.motion.path.polygon import (
     CUBIC,
     EVEN_CUT,
     LEAST_SPACING_M,
+    Chords,
     Controls,
     control_polygon,
     join_controls,
@@ -136,17 +137,8 @@ class _Run:
         if self.controls is None:
             self.controls = _start_of(vertices)
         if stop > self.first_chord:
-            fresh = control_polygon(
-                vertices,
-                length,
-                turn,
-                self.cut_m,
-                self.first_chord,
-                stop,
-                self.degree,
-                begins=self.begins,
-                ends=ends,
-            )
+            chords = Chords(self.first_chord, stop, self.begins, ends)
+            fresh = control_polygon(vertices, length, turn, self.cut_m, chords, self.degree)
             self.controls = join_controls(self.controls, fresh)
             self.added += int(fresh.added.sum())
         yield from self._settle(ends, dwell_s)

@@ -7,8 +7,11 @@ curve. With ends anywhere within the tolerance, long and short chords would alte
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
+from threadline.base.arrays import FloatArray
 from threadline.base.compiled import njit
 from threadline.motion.path.polygon import STRAIGHT
 
@@ -135,34 +138,88 @@ GROWS = 2.0  # largest ratio of a chord to the previous one, to limit the knot s
 _GROWS_LEGS = 1.5  # or of their numbers of legs
 _FIRST = 16  # legs of a chord without a predecessor, to begin with
 _FIRST_GROWS = 4.0
-_AIM = 0.85  # of the permitted deviation of vertices, for the next chord
+_AIM = 0.85  # share of the permitted deviation of vertices at which the next chord aims
 _LESS = 0.85  # largest factor on the legs of a chord that deviates too much
-_BENT = 0.3  # of the share: permitted distance of a chord from the curve itself
-_CORNER = 1.5  # of the share: vertices with more deviation may follow a corner
+_BENT = 0.3  # share of the permitted deviation: distance of a chord from the curve itself
+_CORNER = 1.5  # times the permitted deviation: vertices with more may follow a corner
 _SHARP = 0.5  # difference of the directions on both sides of a corner
 _ABOUT = 6  # number of legs for these directions
-_MEAN = 3  # vertices around an end: this part of the chord's legs on either side
+_MEAN = 3  # an end is the mean of vertices over a third of the chord's legs on either side
 _MOST_MEAN = 16
 
 
-@njit()
-def chord(
-    positions, radius_m, cut_m, shares, rough, aside, first, before_m, guess, start, limit, corner,
-    opens, here, d, middle,
-):  # fmt: skip
-    """Write the vector ``d`` along the next chord; return the row of its end, and its quality.
+class Program(NamedTuple):
+    """The vertices of a program: (n, axes) positions, and (axes,) radii of the axes, m."""
+
+    positions: FloatArray
+    radius_m: FloatArray
+
+
+class Way(NamedTuple):
+    """A chord at the tool: (axes,) start, (axes,) vector along it, and an (axes,) work array."""
+
+    here: FloatArray
+    d: FloatArray
+    middle: FloatArray
+
+
+class Before(NamedTuple):
+    """The chord before.
 
     Parameters
     ----------
-    first
-        Number of the share that the last chord needed.
+    level
+        Number of the share that it needed.
+    length_m
+        Its length; infinite without a chord before.
     guess
-        Number of legs to try; 0 without a previous chord.
-    limit, corner, opens
-        Row that it must not pass, whether that is a vertex which a chord has to meet, and whether
-        it is the last row so far.
-    middle
-        (axes,) work array.
+        Number of legs to try for the next chord; 0 without a chord before.
+    """
+
+    level: int
+    length_m: float
+    guess: int
+
+
+class Legs(NamedTuple):
+    """The legs that a chord may replace.
+
+    Parameters
+    ----------
+    start, limit
+        Row where the chord begins, and row that it must not pass.
+    corner
+        Whether ``limit`` is a vertex that a chord has to meet.
+    opens
+        Whether ``limit`` is the last row so far.
+    """
+
+    start: int
+    limit: int
+    corner: bool
+    opens: bool
+
+
+@njit()
+def chord(program, shares_m, rough, aside, before, legs, way):
+    """Write the vector along the next chord; return the row of its end, and its quality.
+
+    Parameters
+    ----------
+    program : Program
+        The vertices.
+    shares_m : (shares,)
+        Permitted deviations of vertices, tried in this order.
+    rough : int
+        Roughness of the program.
+    aside : bool
+        Whether the chord begins beside its first vertex.
+    before : Before
+        The chord before.
+    legs : Legs
+        The legs that it may replace.
+    way : Way
+        Its start; its vector is written.
 
     Returns
     -------
@@ -175,17 +232,21 @@ def chord(
     level, guess
         Number of its share, and number of legs to try for the next one.
     """
+    positions, radius_m = program
+    here, d, _ = way
+    first, before_m, guess = before
+    start, limit, corner, opens = legs
     room = limit - start
     if opens and room < (AHEAD if guess == 0 else 3 * guess):
         return -1, False, 0.0, first, guess
-    begin, end, least = max(first - 1, 0), len(shares), LEAST
+    begin, end, least = max(first - 1, 0), len(shares_m), LEAST
     if rough != ROUGH:
         begin, end, least = 0, 1, LEAST if aside else MANY
     for level in range(begin, end):
-        thin_m = shares[level] * cut_m
+        thin_m = shares_m[level]
         n = guess
         if n == 0:
-            n = _grown(positions, radius_m, here, start, room, thin_m, d, middle)
+            n = _grown(program, way, start, room, thin_m)
         trimmed, walked, tried = False, False, room + 1
         while True:  # with fewer legs each time
             if corner and n < room < 2 * n and not walked and not trimmed:
@@ -195,13 +256,11 @@ def chord(
             tried = n
             if n < (2 if trimmed or (n == room and aside) else least):
                 break
-            met = not walked and _write(positions, radius_m, here, start, n, room, d)
+            met = not walked and _write(program, way, start, n, room)
             strayed = _strayed(positions, radius_m, here, d, start, start + n)
             longer = np.sqrt(squared_of(d)) / (GROWS * before_m)
             if strayed > thin_m:
-                more, rough_m = _more(
-                    positions, radius_m, here, d, start, n, strayed, thin_m, middle
-                )
+                more, rough_m = _more(program, way, start, n, strayed, thin_m)
                 if rough_m > thin_m and level < end - 1:
                     n = 0  # no chord of useful length is within the tolerance
                     break
@@ -222,7 +281,7 @@ def chord(
             continue
         if rough != ROUGH and not aside and _turned(positions, radius_m, start, start + n) > BENDS:
             continue
-        more, _ = _more(positions, radius_m, here, d, start, n, strayed, thin_m, middle)
+        more, _ = _more(program, way, start, n, strayed, thin_m)
         more = min(max(more, 0.5), _GROWS_LEGS)
         return start + n, met, strayed, level, max(min(int(n * more + 0.5), MOST), LEAST)
     towards(positions, radius_m, here, start + 1, d)
@@ -230,13 +289,15 @@ def chord(
 
 
 @njit()
-def _grown(positions, radius_m, here, start, room, thin_m, d, middle):
+def _grown(program, way, start, room, thin_m):
     """Return how many legs a chord may have, by trying more and more of them."""
+    positions, radius_m = program
+    here, d, _ = way
     n = min(_FIRST, room)
     while n < min(room, MOST):
-        _write(positions, radius_m, here, start, n, room, d)
+        _write(program, way, start, n, room)
         strayed = _strayed(positions, radius_m, here, d, start, start + n)
-        more, _ = _more(positions, radius_m, here, d, start, n, strayed, thin_m, middle)
+        more, _ = _more(program, way, start, n, strayed, thin_m)
         more = min(more, _FIRST_GROWS)
         if more < 1.2:
             break
@@ -245,12 +306,14 @@ def _grown(positions, radius_m, here, start, room, thin_m, d, middle):
 
 
 @njit()
-def _more(positions, radius_m, here, d, start, n, strayed, thin_m, middle):
+def _more(program, way, start, n, strayed, thin_m):
     """Return the factor by which a chord may grow, and the deviation of vertices from the curve.
 
     The distance of its middle from the curve grows with the square of its length; the scatter of
     the vertices about the curve does not.
     """
+    positions, radius_m = program
+    here, d, middle = way
     half = n // 2
     mean = min(max(n // _MEAN, 1), _MOST_MEAN, half, n - half)
     along, far, square = 0.0, 0.0, 0.0
@@ -268,8 +331,10 @@ def _more(positions, radius_m, here, d, start, n, strayed, thin_m, middle):
 
 
 @njit()
-def _write(positions, radius_m, here, start, n, room, d):
+def _write(program, way, start, n, room):
     """Write the vector along a chord of ``n`` legs; return whether it ends in its last vertex."""
+    positions, radius_m = program
+    here, d, _ = way
     k, axes = start + n, len(d)
     mean = min(max(n // _MEAN, 1), _MOST_MEAN, room - n)
     if mean == 0:

@@ -266,7 +266,7 @@ def quartic_spans(positions, turn, length_m, nominal_s, first, stop):
             for i in range(4):
                 pace[m, i] = way[3, axes]
             continue
-        _blossom(h, way, at, share, bezier, kept[:8], kept[8:13], kept[13:18])
+        _blossom(h, way, at, share, bezier, kept)
         for j in range(axes + 1):
             d0, d1 = bezier[1, j] - bezier[0, j], bezier[2, j] - bezier[1, j]
             d2, d3 = bezier[3, j] - bezier[2, j], bezier[4, j] - bezier[3, j]
@@ -300,12 +300,13 @@ def _means(h, at, share):
 
 
 @njit()
-def _blossom(h, way, at, share, bezier, place, e, f):
+def _blossom(h, way, at, share, bezier, work):
     """Write the (5, columns) Bezier points of the piece on the fourth leg, from its start.
 
     ``way`` (7, columns) is the displacement on each leg; control point i is at ``share[i]`` of leg
-    ``at[i]``. ``place`` (8, columns) are the knots, its fourth row 0.
+    ``at[i]``. ``work`` is (18, columns); its fourth row is 0.
     """
+    place, e, f = work[:8], work[8:13], work[13:18]  # knots; control points at both ends
     columns = way.shape[1]
     before, beyond = np.zeros(4), np.zeros(8)  # distances of knots from the ends of the piece
     for i in range(3):

@@ -10,7 +10,7 @@ quartic up to two knots. All lengths are measured at the tool, with rotary axes 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -145,19 +145,32 @@ def corner_spacing(length_m, turn, cut_m, beside_m, spacing):
                 spacing[v] = min(unit / EVEN_CUT, 0.5 * min(before, after))
 
 
+class Chords(NamedTuple):
+    """Some chords of a run.
+
+    Parameters
+    ----------
+    first, stop
+        First vertex, and last vertex.
+    begins, ends
+        Whether the run begins with its first vertex, and ends with its last.
+    """
+
+    first: int
+    stop: int
+    begins: bool = False
+    ends: bool = False
+
+
 def control_polygon(
     vertices: Vertices,
     length_m: FloatArray,
     turn: FloatArray,
     cut_m: float,
-    first: int,
-    stop: int,
+    chords: Chords,
     degree: int = CUBIC,
-    *,
-    begins: bool = False,
-    ends: bool = False,
 ) -> Controls:
-    """Return the points of chords ``first`` to ``stop``, the first vertex left out.
+    """Return the points of some chords, the first vertex left out.
 
     Parameters
     ----------
@@ -169,8 +182,6 @@ def control_polygon(
     cut_m
         Largest distance of the spline from the program, at the tool. ``Vertices.more_m``
         is added at each.
-    begins, ends
-        Whether the run begins with the first vertex, and ends with the last.
     """
     spacing = np.empty((2, len(turn)))  # on the leg into each vertex, and on the next
     if degree == CUBIC:
@@ -178,30 +189,33 @@ def control_polygon(
         spacing[1] = spacing[0]
     else:
         each_m = cut_m + vertices.more_m
-        quartic_spacing(length_m, turn, each_m, vertices.beside_m, first, stop, spacing)
-    columns = _points(
-        vertices.positions,
-        vertices.nominal_s,
-        vertices.operation,
-        vertices.line,
-        length_m,
-        turn,
-        spacing,
-        first,
-        stop,
-        degree == QUARTIC,
-        begins,
-        ends,
-    )
+        quartic_spacing(
+            length_m, turn, each_m, vertices.beside_m, chords.first, chords.stop, spacing
+        )
+    of = vertices.positions, vertices.nominal_s, vertices.operation, vertices.line
+    # Plain tuples: numba finds the type of a named one anew in each call.
+    columns = _points(of, (length_m, turn, spacing), tuple(chords), degree == QUARTIC)
     return Controls(**dict(zip(_COLUMNS, columns, strict=True)))
 
 
 @njit()
-def _points(
-    positions, nominal_s, operation, line, length_m, turn, spacing, first, stop, quartic,
-    begins, ends,
-):  # fmt: skip
-    """Return the columns of the points of chords ``first`` to ``stop``."""
+def _points(vertices, legs, chords, quartic):
+    """Return the columns of the points of some chords.
+
+    Parameters
+    ----------
+    vertices : tuple
+        (n, axes) positions, (n,) nominal times, operations and lines.
+    legs : tuple
+        (n - 1,) lengths, (n,) turns, and (2, n) spacing on the leg into each vertex and the next.
+    chords : tuple
+        As in ``Chords``.
+    quartic : bool
+        Whether the spline is a quartic.
+    """
+    positions, nominal_s, operation, line = vertices
+    length_m, turn, spacing = legs
+    first, stop, begins, ends = chords
     axes = positions.shape[1]
     share = np.empty(MOST_POINTS)
     count = 0
@@ -209,7 +223,7 @@ def _points(
         if not quartic and spacing[1, c] == 0.0 and spacing[0, c + 1] == 0.0:
             count += 1  # the usual case, without a call
         else:
-            count += _on_chord(length_m, turn, spacing, c, quartic, begins, ends, share)
+            count += _on_chord(legs, c, quartic, begins, ends, share)
     out = np.empty((count, axes))
     turned, gone, time_s = np.zeros(count), np.empty(count), np.empty(count)
     added = np.zeros(count, dtype=np.int64)
@@ -218,7 +232,7 @@ def _points(
     for c in range(first, stop):
         before, between = 0.0, 0
         if quartic or spacing[1, c] > 0.0 or spacing[0, c + 1] > 0.0:
-            between = _on_chord(length_m, turn, spacing, c, quartic, begins, ends, share) - 1
+            between = _on_chord(legs, c, quartic, begins, ends, share) - 1
         for k in range(between):
             at = share[k]
             for j in range(axes):
@@ -238,8 +252,9 @@ def _points(
 
 
 @njit()
-def _on_chord(length, turn, spacing, c, quartic, begins, ends, share):
+def _on_chord(legs, c, quartic, begins, ends, share):
     """Write the places (0 to 1) of the points on a chord, its end included; return their number."""
+    length, turn, spacing = legs
     near, far = spacing[1, c] / length[c], spacing[0, c + 1] / length[c]
     if quartic:
         opens, closes = begins and c == 0, ends and c == len(length) - 1
@@ -302,7 +317,7 @@ def pieces_of(
     nominal_s = _nominal(pace, straight, controls.nominal_s[own])
     if count < len(parts) or parts.max() > 1:
         coefficients, nominal_s, operation, line = _cut_and_joined(
-            coefficients, pace, nominal_s, straight, parts, operation, line, count
+            coefficients, pace, nominal_s, straight, parts, (operation, line), count
         )
     rest = np.zeros(count, dtype=np.int64)
     pause = np.zeros(count)
@@ -433,14 +448,17 @@ def _nominal(pace, straight, passed_s):
 
 
 @njit()
-def _cut_and_joined(coefficients, pace, nominal_s, straight, parts, operation, line, count):
+def _cut_and_joined(coefficients, pace, nominal_s, straight, parts, of, count):
     """Return ``count`` pieces: m cut into ``parts`` each, straight spans of one move joined.
+
+    ``of`` holds the (m,) operations and lines of the pieces.
 
     Returns
     -------
     coefficients, nominal_s, operation, line
         (count, degree + 1, axes) and (count,) of the pieces.
     """
+    operation, line = of
     order, axes = coefficients.shape[1:]
     out = np.empty((count, order, axes))
     time_s = np.empty(count)

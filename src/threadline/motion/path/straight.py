@@ -1,7 +1,7 @@
 """The simple interpolations: chords, chords joined by parabolas, and polynomials in time.
 
-Each axis passes a point at the smaller of the mean velocities before and after it, and at 0 where
-it turns back. So each piece is monotone and its end velocities are 0 to 1 times its mean velocity.
+Each axis passes a point at the smaller of its mean velocities before and after the point, and at 0
+where it turns back. So each piece is monotone, and its end velocities are 0 to 1 times its mean.
 The time of every piece, and so its mean velocity, comes from ``polynomial_time_s``. A quintic
 passes the points without acceleration.
 """
@@ -205,12 +205,12 @@ def blended_pieces(programmed: ProgrammedPath, cut_m: float) -> Iterator[PieceBl
             if not len(tight):
                 break
             stop = int(tight[0])
-            yield _blends_pieces(held, length, turn, cut_m, first, stop, ends=True, dwell_s=0.0)
+            yield _blends_pieces(held, length, turn, cut_m, (first, stop), ends=True, dwell_s=0.0)
             held, first = held.take(slice(stop, None)), 0
         stop = len(held) - 1 if chunk.ends else len(held) - 2
         if stop > first:
             yield _blends_pieces(
-                held, length, turn, cut_m, first, stop, ends=chunk.ends, dwell_s=chunk.dwell_s
+                held, length, turn, cut_m, (first, stop), ends=chunk.ends, dwell_s=chunk.dwell_s
             )
         elif chunk.ends and chunk.dwell_s > 0:
             yield pause(held, chunk.dwell_s)
@@ -225,13 +225,13 @@ def _blends_pieces(
     length: FloatArray,
     turn: FloatArray,
     cut_m: float,
-    first: int,
-    stop: int,
+    between: tuple[int, int],
     *,
     ends: bool,
     dwell_s: float,
 ) -> PieceBlock:
-    """Return the chords ``first`` to ``stop`` and the corners at their ends."""
+    """Return the chords between two vertices and the corners at their ends."""
+    first, stop = between
     turn = turn.copy()
     if ends:
         turn[stop] = 0.0

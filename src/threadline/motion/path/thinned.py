@@ -1,9 +1,10 @@
 """Fewer vertices where a program is rough: one chord replaces many legs that lie beside it.
 
-Measured points, and points rounded by a CAM program, scatter about the intended curve. A path that
-follows each of them turns at every one. Here one chord replaces all legs whose vertices lie within
-a share of the tolerance of it, in order; its ends need not be vertices. Where the program is
-smooth, and at corners that the tolerance rounds, the vertices stay unchanged, bit for bit.
+Measured points, and points rounded by a CAM program, scatter about the intended curve. A path
+through all of them turns at every point. Here one chord replaces all legs whose vertices lie
+within a share of the tolerance of the chord, in order; its ends need not be vertices. Where the
+program is smooth, and at corners that the tolerance rounds, the vertices stay unchanged, bit for
+bit.
 """
 # mypy: disable-error-code="no-untyped-def,untyped-decorator"
 
@@ -23,6 +24,10 @@ from threadline.motion.path.chords import (
     SHARES,
     SMOOTH,
     UNEVEN,
+    Before,
+    Legs,
+    Program,
+    Way,
     chord,
     from_vertex,
     legs_kept,
@@ -91,15 +96,13 @@ class Thinner:
         if not begun:
             self.place = held.positions[0] * self.radius_m
         positions, beside_m, nominal_s, row, start, place, known = _thin(
-            held.positions,
-            held.nominal_s,
-            self.radius_m,
+            (held.positions, held.nominal_s, self.radius_m),
             self.cut_m,
-            SHARES,
+            SHARES * self.cut_m,
             chunk.ends,
             self.start,
             self.place,
-            *self.known,
+            self.known,
         )
         found = Vertices(
             positions=positions,
@@ -131,11 +134,23 @@ def _passed(nominal_s, start, stop):
 
 
 @njit()
-def _thin(
-    positions, nominal_s, radius_m, cut_m, shares, ends, start, place,
-    until, rough, valid, level, before_m, guess,
-):  # fmt: skip
+def _thin(vertices, cut_m, shares_m, ends, start, place, known):
     """Return the ends of the chords from row ``start`` on, and the start of the next one.
+
+    Parameters
+    ----------
+    vertices : tuple
+        (n, axes) positions, (n,) nominal times, and (axes,) radii.
+    cut_m : float
+        The tolerance.
+    shares_m : (shares,)
+        Permitted deviations of vertices from a chord, tried in this order.
+    ends : bool
+        Whether the run ends with the last vertex.
+    place : (axes,)
+        Start of the next chord at the tool, m.
+    known : tuple
+        As in ``Thinner``.
 
     Returns
     -------
@@ -145,11 +160,14 @@ def _thin(
         Row and position of the last end; state of roughness and of the last chord, as in
         ``Thinner``.
     """
+    positions, nominal_s, radius_m = vertices
+    until, rough, valid, level, before_m, guess = known
     count, axes = positions.shape
     out, beside = np.empty((count, axes)), np.empty(count)
     time_s, row = np.empty(count), np.empty(count, dtype=np.int64)
     kept = legs_kept(positions, radius_m, cut_m)
-    here, d, middle = place.copy(), np.empty(axes), np.empty(axes)
+    here, d = place.copy(), np.empty(axes)
+    program, way = Program(positions, radius_m), Way(here, d, np.empty(axes))
     # The roughness at the last two rows is unknown before more vertices come.
     last = count - 1 if ends else count - 2
     n, next_kept = 0, start
@@ -182,9 +200,14 @@ def _thin(
         else:
             corner = (len(kept) > 0 and kept[limit]) or (ends and limit == last)
             k, met, strayed, level, guess = chord(
-                positions, radius_m, cut_m, shares, rough, aside, level, before_m, guess, start,
-                limit, corner, not ends and not corner and limit == last, here, d, middle,
-            )  # fmt: skip
+                program,
+                shares_m,
+                rough,
+                aside,
+                Before(level, before_m, guess),
+                Legs(start, limit, corner, not ends and not corner and limit == last),
+                way,
+            )
         if k < 0:
             break  # where it ends is not known yet
         if k == start + 1 and rough == UNEVEN:
@@ -201,7 +224,6 @@ def _thin(
         row[n], beside[n] = k, strayed
         n += 1
         start = k
-    known = (until, rough, valid, level, before_m, guess)
     # These arrays are longer than their used part.
     own = out[:n].copy(), beside[:n].copy(), time_s[:n].copy(), row[:n].copy()
-    return *own, start, here, known
+    return *own, start, here, (until, rough, valid, level, before_m, guess)

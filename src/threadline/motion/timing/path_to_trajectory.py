@@ -86,7 +86,7 @@ class _Run:
     pending: Pieces | None = None
     run_over: int = 0  # leading pending pieces that are done, kept as neighbours of the next
     speed: float = 0.0  # u'^2 at the start of the first piece that is not done
-    time_s: float = 0.0  # from there to its first sample
+    time_s: float = 0.0  # time from there to the first sample
     begin_s: float = 0.0  # start of the run
     done: int = 0  # yielded spline pieces of the run
     smoother: Smoother | None = None
@@ -129,13 +129,13 @@ class _Run:
         # Finished pieces are never whole: their number does not change.
         new = slice(self.run_over, None)
         c, straight, cap, factor = p.c[new], p.straight[new], cap[new], factor[new]
-        path = (c, straight, cap, factor)
+        run = (c, straight, cap, factor)
         count = len(c)
         most = np.zeros((count, profile.PARTS + 1))
-        profile.backward(*path, *self.limits, 0.0, most, False)
+        profile.backward(run, self.limits, 0.0, most, False)
         settled = count
         if not ends:
-            settled = profile.backward(*path, *self.limits, np.inf, most, True)
+            settled = profile.backward(run, self.limits, np.inf, most, True)
             # Later pieces may still lower the caps of the last stretch.
             left = np.cumsum(p.length[new][::-1])[::-1]
             far = self.allowed.reach_s * self.allowed.top_m_s
@@ -145,9 +145,9 @@ class _Run:
         if settled <= 0:
             return
         x = np.zeros((settled, profile.PARTS + 1))
-        c, straight, cap = c[:settled], straight[:settled], cap[:settled]
-        after = profile.forward(c, straight, factor[:settled], *self.limits, self.speed, most, x)
-        yield from self._sample(c, straight, cap, x, p.operation[new][:settled])
+        run = (c[:settled], straight[:settled], cap[:settled], factor[:settled])
+        after = profile.forward(run, self.limits, self.speed, most, x)
+        yield from self._sample(run, x, p.operation[new][:settled])
         self.speed = after
         # The last finished pieces still affect the next ones.
         over = self.run_over + settled
@@ -157,15 +157,20 @@ class _Run:
         self.pending, self.run_over = p.take(slice(kept, None)), over - kept
 
     def _sample(
-        self, c: FloatArray, straight: IntArray, cap: FloatArray, x: FloatArray, operation: IntArray
+        self,
+        run: tuple[FloatArray, IntArray, FloatArray, FloatArray],
+        x: FloatArray,
+        operation: IntArray,
     ) -> Iterator[TrajectoryBlock]:
+        """Yield the motion of pieces, given as in ``profile.backward``, with x from ``forward``."""
+        c = run[0]
         state = np.array([0.0, 0.0, self.time_s])
         out = np.empty((SAMPLES, c.shape[2]))
         owner = np.empty(SAMPLES, dtype=np.int64)
         step = self.allowed.smoothing.step_s
         assert self.smoother is not None
         while state[0] < len(c):
-            count = profile.sample(c, straight, cap, x, *self.limits, step, state, out, owner)
+            count = profile.sample(run, self.limits, x, step, state, out, owner)
             if count:
                 fresh = self.smoother.extend(out[:count].copy(), operation[owner[:count]])
                 yield from self._emit(*fresh)
@@ -209,9 +214,9 @@ def plan_trajectory(
 ) -> Trajectory:
     """Return the axis positions over time.
 
-    A path whose pieces have times keeps them, smoothed if the path leaves room for it
-    (``smoothing_m``) because its acceleration steps; the shape of any other is followed as fast
-    as the limits of ``machine`` and the programmed feed allow, or at its programmed times.
+    If the pieces of a path have times, the motion keeps them; it is smoothed if the acceleration of
+    the path steps and the path leaves room (``smoothing_m``). Any other path is followed as fast as
+    the limits of ``machine`` and the programmed feed allow, or at its programmed times.
 
     Parameters
     ----------
@@ -239,9 +244,10 @@ def plan_trajectory(
         If a curved path should keep programmed times or follow a law, or the law goes back.
     BudgetError
         While the trajectory is read: if the programmed feeds and dwells alone take more ticks
-        than the machine file allows. It comes before any sample of the pieces that are too long.
+        than the machine file allows. It is raised before any sample of the pieces that are too
+        long.
     PlanError
-        While the trajectory with ``contour_m`` is read: if loads exceed it however slow it is.
+        While the trajectory with ``contour_m`` is read: if loads exceed it at any speed.
     """
     if path.timing not in (Timing.FASTEST, Timing.FIRMWARE):
         machine = within_path(machine, path.axes, path.radius_m)
@@ -320,7 +326,7 @@ def _longest(
 
 
 def _within_budget(path: PlannedPath, machine: Machine) -> Iterator[PieceBlock]:
-    """Yield the pieces of ``path`` as long as the least time they take is within the budget."""
+    """Yield the pieces of ``path`` while their least times are within the budget."""
     period_s = float(machine.tick_clock.period_s)
     budget = machine.tick_budget.si
     least_s = 0.0

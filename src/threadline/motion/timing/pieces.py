@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,13 +15,13 @@ from threadline.motion.path.durations import Smoothing
 BoolArray: TypeAlias = NDArray[np.bool_]
 
 _ALONG = 1e-4  # least weight of the part of q_uu along the path, squared
-_HAT = 0.25  # of the larger curvature: the smaller one at the end of a corner's piece
-_CUSP = 1e-5  # of the piece's size: a slower end is a cusp
+_HAT = 0.25  # share of the larger curvature: the smaller curvature at the end of a corner's piece
+_CUSP = 1e-5  # share of the size of a piece: an end with a slower rate is a cusp
 _TAILS = 20.0  # times the cut by the smoothing's tails: a smaller tolerance counts as fine
-_ZONES = 6  # number of lengths over which curves of different speed reach into a straight piece
+_ZONES = 6  # most lengths over which curves of different speed reach into a straight piece
 _ALIKE = 1.1  # zones whose lengths differ by less are merged
 _WIDE = 1.11  # so that a cap may hold a little farther than necessary
-_NEAR = 1e-10  # of a straight piece: it is not cut closer to its ends
+_NEAR = 1e-10  # share of a straight piece: it is not cut closer to its ends
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -57,7 +57,7 @@ def allowance(
     """Return the use of the tolerance ``room_m``.
 
     The weights of the smoothing reach a little beyond the average. A large tolerance has room for
-    the effect of an acceleration there; a small one requires even speed up to there.
+    the effect of an acceleration there; with a small tolerance the speed must be even up to there.
     """
     tail_m = smoothing.tail_s2 * float(size(limit_a, radius))
     fine = room_m < _TAILS * tail_m
@@ -81,7 +81,7 @@ class Pieces:
     straight
         (n,) 0/1.
     feed, smooth
-        (n,) largest u'^2 at the feed, and at which the smoothing keeps its permitted cut.
+        (n,) largest u'^2 by the feed, and by the permitted cut of the smoothing.
     ahead, behind
         (n,) part of the length over which the curvature falls towards the end, and the start.
     length
@@ -173,10 +173,8 @@ def divide(pieces: Pieces, allowed: Allowance, *, ends: bool) -> Pieces:
     due = pieces.whole == 1
     if not ends:
         due[-1] = False
-    rows, start, stop = _cut(
-        due, pieces.smooth, pieces.length, pieces.leave, pieces.enter, pieces.straight,
-        pieces.ahead, pieces.behind, allowed.reach_s, allowed.top_m_s,
-    )  # fmt: skip
+    reach_s, top_m_s = allowed.reach_s, allowed.top_m_s
+    rows, start, stop = _cut(due, pieces.smooth, _extents(pieces), reach_s, top_m_s)
     share = stop - start
     many = np.bincount(rows, minlength=len(pieces))[rows] > 1
     out = pieces.take(rows)
@@ -201,11 +199,26 @@ def divide(pieces: Pieces, allowed: Allowance, *, ends: bool) -> Pieces:
 def caps(pieces: Pieces, factor: FloatArray, allowed: Allowance) -> FloatArray:
     """Return the (n,) largest u'^2, with the requirements of nearby curves."""
     cap = np.minimum(pieces.feed, pieces.smooth)
-    _spread(
-        cap, pieces.smooth, factor, pieces.length, pieces.leave, pieces.enter, pieces.straight,
-        pieces.ahead, pieces.behind, allowed.reach_s, allowed.top_m_s,
-    )  # fmt: skip
+    reach_s, top_m_s = allowed.reach_s, allowed.top_m_s
+    _spread(cap, pieces.smooth, factor, _extents(pieces), reach_s, top_m_s)
     return cap
+
+
+class _Extents(NamedTuple):
+    """Lengths of pieces, which decide how far the speed of a curve must be kept; see ``Pieces``."""
+
+    length: FloatArray
+    leave: FloatArray
+    enter: FloatArray
+    straight: IntArray
+    ahead: FloatArray
+    behind: FloatArray
+
+
+def _extents(pieces: Pieces) -> _Extents:
+    return _Extents(
+        pieces.length, pieces.leave, pieces.enter, pieces.straight, pieces.ahead, pieces.behind
+    )
 
 
 def slope(c: FloatArray) -> FloatArray:
@@ -256,7 +269,7 @@ def factors(c: FloatArray, radius: FloatArray) -> FloatArray:
 
 
 def _cutting(c: FloatArray, radius: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the (n,) q_uu at the tool at both ends, its part along the path at a discount.
+    """Return the (n,) sizes of q_uu at both ends at the tool; its part along the path counts less.
 
     A shift along the path is no deviation, unless the path turns back there.
     """
@@ -291,8 +304,9 @@ def _note(zones, reach):  # type: ignore[no-untyped-def]
 
 
 @njit()
-def _cut(due, cap, length, leave, enter, straight, ahead, behind, reach, top):  # type: ignore[no-untyped-def]
+def _cut(due, cap, extents, reach, top):  # type: ignore[no-untyped-def]
     """Return row, start and end in [0, 1] of every part of every piece."""
+    length, leave, enter, straight, ahead, behind = extents
     count = len(cap)
     begin, end = np.zeros((count, _ZONES)), np.zeros((count, _ZONES))
     for i in range(count):
@@ -346,8 +360,9 @@ def _cut(due, cap, length, leave, enter, straight, ahead, behind, reach, top):  
 
 
 @njit()
-def _spread(cap, own, factor, length, leave, enter, straight, ahead, behind, reach, top):  # type: ignore[no-untyped-def]
+def _spread(cap, own, factor, extents, reach, top):  # type: ignore[no-untyped-def]
     """Apply the cap of a curved piece to all pieces within reach of the smoothing."""
+    length, leave, enter, straight, ahead, behind = extents
     for i in range(len(own)):
         if straight[i] or np.sqrt(own[i]) * length[i] >= top:
             continue

@@ -20,7 +20,7 @@ from threadline.base.compiled import njit
 PARTS = 4
 _TINY = 1e-300
 _NO_PART = 1e-9
-"""Share of a bound below which a value has no part in a row: a bound by it would be rounding."""
+"""Share of a bound below which a value counts as 0 in a row: its bound would be a rounding."""
 
 
 @njit()
@@ -110,13 +110,27 @@ def straight_limits(c, limit_v, limit_a):
 
 
 @njit()
-def backward(c, straight, cap, factor, limit_v, limit_a, end_x, most, merge):
+def backward(run, limits, end_x, most, merge):
     """Fill ``most`` (n, PARTS + 1) with the largest x from which the rest is feasible.
 
-    ``end_x`` is allowed at the end. With ``merge`` the pass stops at the first piece, seen from the
-    end, where it meets the values already in ``most``; that piece's index is returned, and later
-    pieces are unchanged.
+    Parameters
+    ----------
+    run : tuple
+        Of n pieces: (n, 4, axes) coefficients, (n,) 0/1 whether straight, (n,) largest x, and (n,)
+        ratio of x after and before the joint after each piece.
+    limits : tuple
+        (axes,) limits of velocity, and of acceleration.
+    end_x : float
+        Largest x at the end.
+    most : (n, PARTS + 1)
+        Output.
+    merge : bool
+        With ``merge`` the pass stops at the first piece, seen from the end, where it meets the
+        values already in ``most``. The index of that piece is returned, and later pieces are
+        unchanged.
     """
+    c, straight, cap, factor = run
+    limit_v, limit_a = limits
     rows = 3 * c.shape[2]
     p = np.empty(rows)
     s = np.empty(rows)
@@ -154,8 +168,13 @@ def backward(c, straight, cap, factor, limit_v, limit_a, end_x, most, merge):
 
 
 @njit()
-def forward(c, straight, factor, limit_v, limit_a, start_x, most, x):
-    """Fill ``x`` (n, PARTS + 1) with the fastest run; return x after the last piece."""
+def forward(run, limits, start_x, most, x):
+    """Fill ``x`` (n, PARTS + 1) with the fastest run; return x after the last piece.
+
+    ``run``, ``limits`` and ``most`` as in ``backward``.
+    """
+    c, straight, _, factor = run
+    limit_v, limit_a = limits
     rows = 3 * c.shape[2]
     p = np.empty(rows)
     s = np.empty(rows)
@@ -184,23 +203,33 @@ def cruise(x0, x1, push, top):
 
 
 @njit()
-def sample(c, straight, cap, x, limit_v, limit_a, step, state, out, owner):
-    """Write positions every ``step`` into ``out`` until it is full or the pieces end.
+def sample(run, limits, x, step, state, out, owner):
+    """Write positions every ``step`` until ``out`` is full or the pieces end; return their number.
 
-    ``state`` is [piece, part, time since its start of the next sample]; it is updated. Returns the
-    number of samples written.
+    Parameters
+    ----------
+    run, limits : tuple
+        As in ``backward``.
+    x : (n, PARTS + 1)
+        From ``forward``.
+    step : float
+        Time from sample to sample.
+    state : (3,)
+        Piece and part of the next sample, and its time since the start of the part; updated.
+    out, owner : (m, axes), (m,)
+        Output: the positions, and the piece of each.
     """
+    c, straight, cap, _ = run
+    limit_v, limit_a = limits
     count = 0
-    piece, part = int(state[0]), int(state[1])
-    time = state[2]
+    piece, part, time = int(state[0]), int(state[1]), state[2]
     while piece < len(c):
         if straight[piece]:
             top, push = straight_limits(c[piece], limit_v, limit_a)
             x0, x1 = x[piece, 0], x[piece, PARTS]
             peak = cruise(x0, x1, push, min(top, cap[piece]))
             v0, v1, vp = np.sqrt(x0), np.sqrt(x1), np.sqrt(peak)
-            t1 = (vp - v0) / push
-            t3 = (vp - v1) / push
+            t1, t3 = (vp - v0) / push, (vp - v1) / push
             way = 1.0 - (peak - x0) / (2.0 * push) - (peak - x1) / (2.0 * push)
             t2 = max(0.0, way) / vp
             whole = t1 + t2 + t3

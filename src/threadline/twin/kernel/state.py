@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -21,7 +22,7 @@ from threadline.twin.kernel.sensing import NOISE_PRIME
 from threadline.twin.kernel.shape import Shape
 
 _NOT_UNIFORM = (Field.LOWEST, Field.HIGHEST, Field.SEED)  # they change
-_FEW = 64  # variants: the initial state of up to so many is cached for the next run
+_FEW = 64  # the initial state of up to so many variants is cached for the next run
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -295,7 +296,8 @@ def new_state(
     sizes = lanes, width, peak, quantised, tuple((phases == phases[0]).all(axis=0).tolist())
     begun = piece.begun.get(sizes)
     if begun is None:
-        begun = _begun(machine, piece, phases, which, lanes, width, peak=peak, quantised=quantised)
+        shape_of = partial(piece.shape, lanes, width, peak=peak, quantised=quantised)
+        begun = _begun(machine, piece, phases, which, width, shape_of)
         if variants <= _FEW:
             piece.begun[sizes] = begun
     modes, first = begun
@@ -325,17 +327,25 @@ def new_state(
 
 
 def _begun(
-    machine: Machine, piece: Piece, phases: FloatArray, which: IntArray, lanes: int, width: int, *,
-    peak: bool, quantised: bool,
+    machine: Machine, piece: Piece, phases: FloatArray, which: IntArray, width: int,
+    shape_of: Callable[..., Shape],
 ) -> tuple[ModeTables, FloatArray]:  # fmt: skip
-    """Return the tables of modes, and the initial workspace."""
+    """Return the tables of modes, and the initial workspace.
+
+    Parameters
+    ----------
+    which
+        (lanes,) variant in each lane.
+    shape_of
+        Returns the shape of the kernel, given its ``uniform`` rows.
+    """
     numbers = _numbers(machine, piece) | _standing(piece, phases)
     uniform = tuple(
         row
         for row, values in numbers.items()
         if width > 1 and row[0] not in _NOT_UNIFORM and _alike(values)
     )
-    shape = piece.shape(lanes, width, peak=peak, quantised=quantised, uniform=uniform)
+    shape = shape_of(uniform=uniform)
     modes = piece.kept.get(shape)
     if modes is None:
         modes = ModeTables(piece.plant, which, Layout(shape), piece.steps.lengths_s, piece.rate)
@@ -373,8 +383,8 @@ def _standing(piece: Piece, phases: FloatArray) -> dict[Row, FloatArray]:
 def _seeds(phases: FloatArray, sensor: str) -> FloatArray:
     """Return the (variants,) first numbers of a sensor's noise, whole, 1 to ``NOISE_PRIME`` - 1.
 
-    They follow from the phases of the encoders, which make every other run from day to day, so that
-    a run repeats its noise to the bit.
+    The numbers follow from the phases of the encoders, which differ from run to run, so a repeated
+    run repeats its noise to the bit.
     """
     found = np.empty(len(phases))
     for v, own in enumerate(np.ascontiguousarray(phases)):

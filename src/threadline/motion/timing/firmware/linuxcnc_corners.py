@@ -1,29 +1,132 @@
 """Corners of LinuxCNC: the arcs that it inserts, and the speeds at which moves meet.
 
-An arc is found as between two lines, where the secant may stand for an arc of G2 or G3, and then
-moved until it touches both moves. In the plane of the corner the first move arrives along (1, 0) at
-the origin, and the second leaves to the left.
+An arc is first fitted between two lines: the moves themselves, or secants in place of arcs of G2
+and G3. Then it is shifted until it touches both moves. In the plane of the corner the first move
+arrives at the origin along (1, 0), and the second leaves to the left.
 
 Sources: LinuxCNC 2.9, its documents "Trajectory Control" and "G64 Path Blending", and the behaviour
 of its ``tp.c`` and ``blendmath.c``, described here in other words.
 
 A corner is taken in the fastest of three ways:
-- straight on, at the speed whose jump within a servo cycle is a tenth of the axes' limit;
+- straight on, at the speed at which the velocity jumps within a servo cycle by a tenth of the
+  axes' limit;
 - by an arc that touches both moves at a distance d from the corner, d at most half of either move
   and at most cos(theta) P / (1 - sin(theta)) for the tolerance P, with the angle 2 theta between
   the moves. Its radius is d tan(theta) at most, and v^2 / r is at most sqrt(3)/2 of the
   acceleration;
-- by overlapping both moves, each with half of its acceleration, so that its speed counts half.
+- by overlapping both moves, each with half of its acceleration, so that the speed counts half.
 """
 # mypy: disable-error-code="no-untyped-def,untyped-decorator"
 
 from __future__ import annotations
 
-import numpy as np
+from typing import NamedTuple
 
+import numpy as np
+from numpy.typing import NDArray
+
+from threadline.base.arrays import FloatArray
 from threadline.base.compiled import njit
 
 _LEAST = np.pi / 12.0  # smallest theta between two arcs
+
+
+class Corners(NamedTuple):
+    """Geometry that LinuxCNC measures at the c corners of moves, all (c,).
+
+    Parameters
+    ----------
+    apart, plain, back
+        Whether a rapid move meets a move at a feed; only X, Y and Z move before and after; the path
+        reverses.
+    turns
+        Largest change of direction of an axis, divided by its acceleration.
+    theta, cosine
+        Half of the angle between the moves, and its cosine.
+    plane_rate, plane_speed
+        Acceleration and speed that the axes reach in the plane of the corner in every direction.
+    side, side_2
+        1 if the first, or the second, move bends the same way as the corner, else -1.
+    """
+
+    apart: NDArray[np.bool_]
+    plain: NDArray[np.bool_]
+    back: NDArray[np.bool_]
+    turns: FloatArray
+    theta: FloatArray
+    cosine: FloatArray
+    plane_rate: FloatArray
+    plane_speed: FloatArray
+    side: FloatArray
+    side_2: FloatArray
+
+
+class Corner(NamedTuple):
+    """The geometry of one corner; see ``Corners``."""
+
+    turns: float
+    theta: float
+    cosine: float
+    plane_rate: float
+    plane_speed: float
+
+
+class Arm(NamedTuple):
+    """A move at a corner.
+
+    Parameters
+    ----------
+    left, length
+        Length from the corner that earlier corners have left, and programmed length.
+    most, asked
+        Speed limit of its axes, and programmed speed.
+    rate
+        Acceleration.
+    bow, side
+        Radius, 0 for a line; 1 if the move bends the same way as the corner, else -1.
+    """
+
+    left: float
+    length: float
+    most: float
+    asked: float
+    rate: float
+    bow: float
+    side: float
+
+
+class Bow(NamedTuple):
+    """A move that an arc of a corner touches: radius (0: a line), side, and available angle."""
+
+    radius: float
+    side: float
+    angle: float
+
+
+class Ramp(NamedTuple):
+    """A move that overlaps another.
+
+    Parameters
+    ----------
+    rate
+        Acceleration.
+    length, reach
+        Length, and the part of it that counts for the reachable speed.
+    speed
+        Speed limit.
+    """
+
+    rate: float
+    length: float
+    reach: float
+    speed: float
+
+
+class Blending(NamedTuple):
+    """How LinuxCNC joins moves: P of G64 (0: none), and whether G61 is in force."""
+
+    tolerance: float
+    exact: bool
 
 
 @njit()
@@ -52,23 +155,23 @@ def reach(bow, side, angle, theta, part, line):
 
 
 @njit()
-def flattened(theta, bow, side, most, bow_2, side_2, most_2):
-    """Return theta between the secants that stand for the moves, 0 if there is no arc."""
+def flattened(theta, first, second):
+    """Return theta between the secants of two bows, 0 if there is no arc."""
     found = theta
-    if bow > 0.0 and side > 0.0:
-        found = min(found, theta - 0.25 * most)
-    if bow_2 > 0.0 and side_2 > 0.0:
-        found = min(found, theta - 0.25 * most_2)
-    if bow > 0.0 and bow_2 > 0.0 and found < _LEAST:
+    if first.radius > 0.0 and first.side > 0.0:
+        found = min(found, theta - 0.25 * first.angle)
+    if second.radius > 0.0 and second.side > 0.0:
+        found = min(found, theta - 0.25 * second.angle)
+    if first.radius > 0.0 and second.radius > 0.0 and found < _LEAST:
         return 0.0
     return found
 
 
 @njit()
 def leaning(theta, bow, side, rate, speed):
-    """Return half of the angle between a move and the acceleration needed by the next one, an arc.
+    """Return half of the angle between a move and the acceleration at the start of the next arc.
 
-    It is ``rate`` along the arc, and across it the centripetal one at half of its ``speed``.
+    The acceleration is ``rate`` along the arc, and centripetal at half of ``speed`` across it.
     """
     phi = np.pi - 2.0 * theta
     across = side * (0.5 * speed) ** 2 / bow
@@ -77,7 +180,7 @@ def leaning(theta, bow, side, rate, speed):
 
 
 @njit()
-def touching(radius, theta, bow, side, most, bow_2, side_2, most_2, tolerance):
+def touching(radius, theta, first, second, tolerance):
     """Return the lengths that an arc takes from both moves, and its own angle; 0 for no arc.
 
     Parameters
@@ -86,20 +189,22 @@ def touching(radius, theta, bow, side, most, bow_2, side_2, most_2, tolerance):
         Radius of the arc.
     theta : float
         Half of the angle between the moves at the corner.
-    bow, side, most : float
-        As in ``reach``, where ``most`` is the available angle; likewise for the next move.
+    first, second : Bow
+        The moves.
     tolerance : float
         Permitted distance from the corner.
     """
+    bow, side, most = first
+    bow_2, side_2, most_2 = second
     phi = np.pi - 2.0 * theta
     u, n = np.array([np.cos(phi), np.sin(phi)]), np.array([-np.sin(phi), np.cos(phi)])
-    first, second = np.array([0.0, side * bow]), side_2 * bow_2 * n
+    centre_1, centre_2 = np.array([0.0, side * bow]), side_2 * bow_2 * n
     d1, d2 = bow - side * radius, bow_2 - side_2 * radius
     none = (0.0, 0.0, 0.0)
     if bow == 0.0 or bow_2 == 0.0:
         # The centre lies beside the line, at the distance d from the other move's centre.
         along, left = (u, n) if bow > 0.0 else (np.array([1.0, 0.0]), np.array([0.0, 1.0]))
-        centre, away = (first, d1) if bow > 0.0 else (second, d2)
+        centre, away = (centre_1, d1) if bow > 0.0 else (centre_2, d2)
         c_u, c_n = (centre * along).sum(), (centre * left).sum()
         inside = away * away - (radius - c_n) ** 2
         if inside < 0.0:
@@ -107,7 +212,7 @@ def touching(radius, theta, bow, side, most, bow_2, side_2, most_2, tolerance):
         way = min(abs(-c_u + np.sqrt(inside)), abs(-c_u - np.sqrt(inside)))
         middle = radius * left + (way if bow > 0.0 else -way) * along
     else:
-        between = second - first
+        between = centre_2 - centre_1
         apart = np.sqrt((between * between).sum())
         if apart == 0.0:
             return none
@@ -117,13 +222,14 @@ def touching(radius, theta, bow, side, most, bow_2, side_2, most_2, tolerance):
         c_y = np.sqrt(d1 * d1 - c_x * c_x)
         e = between / apart
         across = np.array([-e[1], e[0]])
-        one, other = first + c_x * e + c_y * across, first + c_x * e - c_y * across
+        one = centre_1 + c_x * e + c_y * across
+        other = centre_1 + c_x * e - c_y * across
         middle = one if (one * one).sum() <= (other * other).sum() else other
         way = 0.0
     if np.sqrt((middle * middle).sum()) - radius > tolerance:
         return none
-    takes = way if bow == 0.0 else bow * _angle(-first, middle - first)
-    takes_2 = way if bow_2 == 0.0 else bow_2 * _angle(-second, middle - second)
+    takes = way if bow == 0.0 else bow * _angle(-centre_1, middle - centre_1)
+    takes_2 = way if bow_2 == 0.0 else bow_2 * _angle(-centre_2, middle - centre_2)
     if (bow > 0.0 and takes > most * bow) or (bow_2 > 0.0 and takes_2 > most_2 * bow_2):
         return none
     turn = phi + (side * takes / bow if bow > 0.0 else 0.0)
@@ -147,7 +253,7 @@ _STRAIGHT = 1e-3  # of cos(theta): no tolerance below
 
 
 @njit()
-def overlap(rate, length, reach, speed, rate_2, length_2, reach_2, speed_2, cosine, tolerance):
+def overlap(first, second, cosine, tolerance):
     """Return the speed at which a move lets the next one begin, and the next one's target speed.
 
     A move of length L and acceleration a with the speed limit v reaches r = min(v, sqrt(a L)).
@@ -157,13 +263,15 @@ def overlap(rate, length, reach, speed, rate_2, length_2, reach_2, speed_2, cosi
 
     Parameters
     ----------
-    rate, length, reach, speed : float
-        Acceleration; length; the part of it that counts for r; speed limit. Likewise for the next.
+    first, second : Ramp
+        The moves; ``reach`` is the L that counts for r.
     cosine : float
         cos(theta).
     tolerance : float
         P, 0 for none.
     """
+    rate, length, reach, speed = first
+    rate_2, length_2, reach_2, speed_2 = second
     here, there = min(speed, np.sqrt(rate * reach)), min(speed_2, np.sqrt(rate_2 * reach_2))
     lasts = min(length / here, length_2 / there, max(here / rate, there / rate_2))
     leave, follow = min(here, lasts * rate), min(there, lasts * rate_2)
@@ -174,24 +282,24 @@ def overlap(rate, length, reach, speed, rate_2, length_2, reach_2, speed_2, cosi
 
 
 @njit()
-def _arc(theta, rate, planar, here, there, most, most_2, room, tolerance, lines):
+def _arc(theta, at, first, second, room, tolerance):
     """Return radius, distance from the corner and speed limit of an arc; 0 for none.
 
     Parameters
     ----------
     theta : float
-        Half of the angle between the moves.
-    rate, planar : float
-        Acceleration and speed that the axes have in its plane in every direction.
-    here, there, most, most_2 : float
-        Programmed speeds of both moves, and the speed limits of their axes.
+        Half of the angle between the moves, or between their secants.
+    at : Corner
+        The corner.
+    first, second : Arm
+        The moves.
     room : float
         Available length of the shorter move.
     tolerance : float
         Permitted distance from the corner.
-    lines : bool
-        Whether both moves are lines.
     """
+    rate, planar, most, most_2 = at.plane_rate, at.plane_speed, first.most, second.most
+    here, there = min(first.asked, most), min(second.asked, most_2)
     if np.pi / 2.0 - theta < _TINY or theta < _TINY:
         return 0.0, 0.0, 0.0
     phi = np.pi - 2.0 * theta
@@ -199,7 +307,7 @@ def _arc(theta, rate, planar, here, there, most, most_2, room, tolerance, lines)
     v1, v2 = min(most, most_2 / flat), min(most_2, most / flat)
     base = np.sqrt(v1 * v1 + v2 * v2 - 2.0 * v1 * v2 * np.cos(phi))
     goal = planar
-    if lines:
+    if first.bow == 0.0 and second.bow == 0.0:
         goal = max(goal, v1 * v2 * np.sin(phi) / base)
     goal = min(max(here, there), goal)
     distance = min(room, np.cos(theta) * tolerance / (1.0 - np.sin(theta)))
@@ -214,29 +322,19 @@ def _arc(theta, rate, planar, here, there, most, most_2, room, tolerance, lines)
 
 
 @njit()
-def corner(
-    left, length, most, asked, rate, reduced, length_2, most_2, asked_2, rate_2,
-    turns, theta, cosine, plane_rate, plane_speed, bow, side, bow_2, side_2, tolerance, exact,
-):  # fmt: skip
+def corner(first, second, reduced, at, blending):
     """Return the transition from a move to the next, both of X, Y and Z only.
 
     Parameters
     ----------
-    left, length, most, asked, rate : float
-        First move: remaining length, programmed length, speed limit of its axes, programmed speed,
-        and acceleration; likewise for the next.
+    first, second : Arm
+        The moves; nothing was taken from the second yet.
     reduced : float
         Share of the first move's acceleration that its first corner takes.
-    turns : float
-        Largest change of direction of an axis, divided by its acceleration.
-    theta, cosine : float
-        Half of the angle between them, and its cosine.
-    plane_rate, plane_speed : float
-        Acceleration and speed of the axes in their plane in every direction.
-    bow, side, bow_2, side_2 : float
-        Radius of each, 0 for a line; 1 if it bends the same way as the corner, else -1.
-    tolerance, exact
-        P, 0 for none; whether G61 is in force.
+    at : Corner
+        The corner.
+    blending : Blending
+        P of G64, or G61.
 
     Returns
     -------
@@ -247,6 +345,10 @@ def corner(
     radius, distance, distance_2, turn : float
         Radius of the arc, 0 for none; lengths that it takes from both moves; its angle.
     """
+    left, length, most, asked, rate, bow, side = first
+    _, length_2, most_2, asked_2, rate_2, bow_2, side_2 = second
+    turns, theta, cosine = at.turns, at.theta, at.cosine
+    tolerance, exact = blending
     here, there = min(asked, most), min(asked_2, most_2)
     slower = min(here, there)
     lines = bow == 0.0 and bow_2 == 0.0
@@ -262,14 +364,16 @@ def corner(
         cosine = np.cos(theta_2)
     else:
         theta_2 = theta
-    # Either may yet lose half of its length to its other corner.
-    first, second = overlap(
+    # Each move may yet lose half of its length to its other corner.
+    leaving = Ramp(
         0.5 * rate * (1.0 - max(reduced, _KINK)) * (1.0 if bow == 0.0 else ALONG),
-        left, 0.5 * left, here,
-        before * (1.0 if bow_2 == 0.0 else ALONG),
-        length_2, 0.5 * length_2, there, cosine, tolerance,
-    )  # fmt: skip
-    over = 0.25 * np.sin(theta_2) * (first + second)
+        left,
+        0.5 * left,
+        here,
+    )
+    following = Ramp(before * (1.0 if bow_2 == 0.0 else ALONG), length_2, 0.5 * length_2, there)
+    leave, follow = overlap(leaving, following, cosine, tolerance)
+    over = 0.25 * np.sin(theta_2) * (leave + follow)
     leaves = _SHARE * min(length, length_2)
     if tolerance > 0.0:
         leaves = min(leaves, tolerance)
@@ -277,15 +381,12 @@ def corner(
     room, angle = reach(bow, side, left / max(bow, _TINY), theta, part, room)
     room_2, angle_2 = reach(bow_2, side_2, length_2 / max(bow_2, _TINY), theta, 1.0 / 3.0,
                             0.5 * length_2)  # fmt: skip
-    flat = flattened(theta, bow, side, angle, bow_2, side_2, angle_2)
-    radius, distance, bent = _arc(
-        flat, plane_rate, plane_speed, here, there, most, most_2, min(room, room_2), leaves, lines
-    )
+    bent_1, bent_2 = Bow(bow, side, angle), Bow(bow_2, side_2, angle_2)
+    flat = flattened(theta, bent_1, bent_2)
+    radius, distance, bent = _arc(flat, at, first, second, min(room, room_2), leaves)
     distance_2, turn = distance, np.pi - 2.0 * theta
     if radius > 0.0 and not lines:
-        distance, distance_2, turn = touching(
-            radius, theta, bow, side, angle, bow_2, side_2, angle_2, leaves
-        )
+        distance, distance_2, turn = touching(radius, theta, bent_1, bent_2, leaves)
     if radius > 0.0 and turn > 0.0 and bent > max(over, straight):
         return BENDS, bent, 0.0, radius, distance, distance_2, turn
     if over >= straight:

@@ -4,9 +4,9 @@ The chords of one G2 or G3 block have its line number, are consecutive, equally 
 equal angles, and their arc is at most 2 um away from them. LinuxCNC runs such an arc as one move.
 As the ends of arcs are rounded in programs, the radius may change a little along the way.
 
-With Q of G64 (default P) a move of X, Y and Z only is joined with its predecessors if each of their
-ends is within Q of the straight line from the start of the first to its own end (LinuxCNC 2.9,
-documents, "G64 Path Blending"; ``emccanon.cc``). At most 101 become one.
+With Q of G64 (default P) a move of X, Y and Z only is joined with its predecessors if all of their
+end points are within Q of the straight line from the start of the first move to the end of this
+move (LinuxCNC 2.9, documents, "G64 Path Blending"; ``emccanon.cc``). At most 101 moves become one.
 """
 # mypy: disable-error-code="no-untyped-def,untyped-decorator"
 
@@ -74,7 +74,7 @@ def circle(points: FloatArray) -> tuple[float, FloatArray, FloatArray, float] | 
     Parameters
     ----------
     points
-        (k, axes) ends of its equal chords, k > 2; mm.
+        (k, axes) end points of equal chords, k > 2; mm.
     """
     count = len(points) - 1
     a, b, c = points[0], points[max(1, count // 3)], points[max(2, 2 * count // 3)]
@@ -165,18 +165,18 @@ class Course:
     Parameters
     ----------
     start
-        (n, axes) start of each.
+        (n, axes) start of each move.
     way
-        (n, axes) vector to its end.
+        (n, axes) vector from start to end.
     along, inward, onward
-        (n, axes) its first direction over its length; for an arc the direction to its centre; its
-        last direction.
+        (n, axes) first direction over the length; for an arc the direction to the centre; last
+        direction.
     bow, length
         (n,) radius of an arc, 0 for a line; length.
     nominal_s
         (n,) time at the programmed feed, 0 for a rapid move.
     operation, last
-        (n,) operation, and index of its last buffered move.
+        (n,) operation, and index of the last buffered move in it.
     """
 
     start: FloatArray
@@ -217,7 +217,7 @@ def course(
     rules: Rules, start: FloatArray, way: FloatArray, nominal_s: FloatArray, operation: IntArray,
     line: IntArray, cam_tolerance: float,
 ) -> Course:  # fmt: skip
-    """Return the moves that LinuxCNC makes of n buffered ones, (n, axes) mm and degrees.
+    """Return the moves that LinuxCNC makes from n buffered moves, (n, axes) mm and degrees.
 
     Parameters
     ----------
@@ -267,9 +267,9 @@ class _Rows:
     def bend(
         self, found: list[tuple[int, int]], beside: NDArray[np.bool_], cam_tolerance: float
     ) -> dict[int, Bow]:
-        """Put one row for the chords of every arc; two for an arc in X and Y only, if within Q.
+        """Replace the chords of every arc by one row; an arc in X and Y within Q by two lines.
 
-        ``beside`` holds the other axes.
+        ``beside`` marks the other axes.
         """
         kept = np.ones(len(self.way), np.bool_)
         bows: dict[int, Bow] = {}
@@ -303,7 +303,7 @@ class _Rows:
     def join(
         self, linear: NDArray[np.bool_], bows: dict[int, Bow], cam_tolerance: float
     ) -> dict[int, Bow]:
-        """Put one row for moves that are joined within Q; return ``bows`` by their new rows."""
+        """Replace moves that are joined within Q by one row; return ``bows`` by their new rows."""
         timed = self.nominal_s > 0.0
         feed = np.where(timed, self.length / np.where(timed, self.nominal_s, 1.0), 0.0)
         # Always in the same memory order: numba compiles a version for each order.

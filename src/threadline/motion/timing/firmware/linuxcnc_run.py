@@ -1,14 +1,14 @@
 """Speeds along the pieces that LinuxCNC runs, and the motion of each as polynomials in time.
 
 A piece that blends into the next ends as fast as the 50 pieces after it allow
-(``[TRAJ]ARC_BLEND_OPTIMIZATION_DEPTH``). The last of these may still lose half of its length, so
-only half of it counts as distance to a stop at its end. A piece of less than 10 ms changes its
-speed evenly (``ARC_BLEND_RAMP_FREQ``).
+(``[TRAJ]ARC_BLEND_OPTIMIZATION_DEPTH``). The last of these pieces may still lose half of its
+length, so only half counts as distance to a stop. In a piece of less than 10 ms the speed changes
+evenly (``ARC_BLEND_RAMP_FREQ``).
 
-Moves in which a rotary axis turns overlap: the next starts while the previous one still brakes, so
-that their speeds add up, and both have half of their acceleration. Between moves of X, Y and Z only
-every corner is taken in the fastest of three ways (``linuxcnc_corners``), and the speed at the end
-of a piece is found 50 pieces ahead. After G61 moves stop unless they continue straight.
+Moves in which a rotary axis turns overlap: the next move starts while the previous one still
+brakes, so that their speeds add up, and both have half of their acceleration. Between moves of X, Y
+and Z only, every corner is taken in the fastest of three ways (``linuxcnc_corners``), and the speed
+at the end of a piece is found 50 pieces ahead. After G61 moves stop unless they continue straight.
 """
 # mypy: disable-error-code="no-untyped-def,untyped-decorator"
 
@@ -19,16 +19,23 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from threadline.base.arrays import FloatArray, IntArray
 from threadline.base.compiled import njit
 from threadline.machine.motion_planner import LinuxCncPlanner
 from threadline.motion.path.types import PieceBlock
-from threadline.motion.timing.firmware.linuxcnc_corners import CYCLE_S, GOES_ON, OVERLAPS, overlap
+from threadline.motion.timing.firmware.linuxcnc_corners import (
+    CYCLE_S,
+    GOES_ON,
+    OVERLAPS,
+    Blending,
+    Corners,
+    Ramp,
+    overlap,
+)
 from threadline.motion.timing.firmware.linuxcnc_moves import Course, course
 from threadline.motion.timing.firmware.look_ahead import MovesInHand
-from threadline.motion.timing.firmware.piece_curves import Links, link, polynomials
+from threadline.motion.timing.firmware.piece_curves import TimedMoves, link, polynomials
 from threadline.motion.timing.firmware.rules import LINEAR, MM, Rules, along_axes
 from threadline.motion.timing.types import TrajectoryBlock
 
@@ -38,12 +45,58 @@ _INSTANT_S = 1e-12  # counts as no time
 _BEND = 0.05  # rad of an arc per polynomial: 0.8 um at a radius of 10 mm, where it starts
 
 
+class Started(NamedTuple):
+    """How the first piece of a motion starts.
+
+    Parameters
+    ----------
+    enter
+        Speed at its start, if it blends with the previous piece.
+    entered, lasted
+        Its speed at the end of the previous piece, and the time for which both moved; 0 if they do
+        not overlap.
+    since
+        Time since the last rest.
+    """
+
+    enter: float = 0.0
+    entered: float = 0.0
+    lasted: float = 0.0
+    since: float = 0.0
+
+
+AT_REST = Started()
+
+
+class _Phases(NamedTuple):
+    """(3,) durations of the phases of a piece, and (3,) accelerations: up, even, down."""
+
+    time_s: FloatArray
+    change: FloatArray
+
+
+class _Next(NamedTuple):
+    """How the next piece starts while a piece brakes.
+
+    Parameters
+    ----------
+    lasts, rises
+        Time for which both move, and for which the next piece speeds up in it.
+    slope
+        Acceleration of the next piece.
+    """
+
+    lasts: float
+    rises: float
+    slope: float
+
+
 @njit()
 def speeds_at_ends(extent, most, speed, rate, limit, ends):
     """Return the (m,) largest speed at the end of each of m pieces.
 
-    F does not count here, except where the next piece begins: where F falls, LinuxCNC is too fast
-    for a moment.
+    F counts only at the start of the newest piece: where F falls, LinuxCNC is too fast for a
+    moment.
     """
     count = len(extent)
     found = np.zeros(count)
@@ -66,18 +119,19 @@ def speeds_at_ends(extent, most, speed, rate, limit, ends):
 
 
 @njit()
-def _phases(length, enter, top, leave, rate, evenly, time_s, change):
-    """Write time and acceleration of three phases, and return the speed at the end.
+def _phases(length, enter, top, leave, rate, evenly, phases):
+    """Write the three phases of a piece, and return the speed at the end.
 
     Parameters
     ----------
     length, enter, top, leave, rate : float
-        Of a piece: length, first, greatest and last speed, acceleration.
+        Of the piece: length, first, greatest and last speed, acceleration.
     evenly : bool
         Whether the speed changes in a single ramp.
-    time_s, change : (3,)
+    phases : _Phases
         Output.
     """
+    time_s, change = phases
     time_s[:], change[:] = 0.0, 0.0
     longest = 2.0 * rate * length
     if leave * leave > enter * enter + longest:
@@ -100,16 +154,13 @@ def _phases(length, enter, top, leave, rate, evenly, time_s, change):
 
 
 @njit()
-def motion(
-    move, radius, lead, extent, most, speed, rate, limit, ends, bow, cosine, rapid, tolerance, out,
-    enter, entered, lasted, since,
-):  # fmt: skip
+def motion(links, bow, cosine, rapid, tolerance, out, started):
     """Return rows of motion for the first ``out`` of m pieces.
 
     Parameters
     ----------
-    move, radius, lead, extent, most, speed, rate, limit, ends : (m,)
-        As in ``Links``.
+    links : Links
+        The pieces of n moves.
     bow : (n,)
         Radius of each move, 0 for a line.
     cosine : (n - 1,)
@@ -120,30 +171,28 @@ def motion(
         P of G64, 0 for none.
     out : int
         Number of pieces.
-    enter : float
-        Speed at the start of the first piece, if it blends with the previous one.
-    entered, lasted : float
-        Speed of the first piece at the end of the previous one, and the time for which both moved;
-        0 if they do not overlap.
-    since : float
-        Time since the last rest.
+    started : Started
+        Start of the first piece.
 
     Returns
     -------
     piece : (r,) int
         The piece of each row.
     row : (r, 7)
-        Its time; start on the piece, speed there, and acceleration; the same along the next piece,
-        which may move too.
-    enter, entered, lasted, since : float
-        As above, for the next piece.
+        Time of the row; start on the piece, speed there, and acceleration; the same along the next
+        piece, which may move too.
+    started : Started
+        Start of the next piece.
     """
-    leaves = speeds_at_ends(extent, most, speed, rate, limit, ends)
+    move, radius, lead, extent = links.move, links.radius, links.lead, links.extent
+    speed, rate, ends = links.speed, links.rate, links.ends
+    enter, entered, lasted, since = started
+    leaves = speeds_at_ends(extent, links.most, speed, rate, links.limit, ends)
     round_ = np.where(radius > 0.0, radius, bow[move])
     bends = np.where(round_ > 0.0, (extent - lead) / np.where(round_ > 0.0, round_, 1.0), 0.0)
     room = 9 * out + int(np.ceil(bends[:out] / _BEND).sum())
     piece, row = np.zeros(room, np.int64), np.zeros((room, 7))
-    time_s, change = np.zeros(3), np.zeros(3)
+    phases = _Phases(np.zeros(3), np.zeros(3))
     r = 0
     for j in range(out):
         a = rate[j]
@@ -165,10 +214,9 @@ def motion(
             n = j + 1
             slope = rate[n]
             reach = 0.5 * extent[n] if n == len(extent) - 1 else extent[n]
-            slow, _ = overlap(
-                a, extent[j], extent[j], speed[j], slope, extent[n], reach, speed[n],
-                cosine[move[j]], tolerance,
-            )  # fmt: skip
+            braking = Ramp(a, extent[j], extent[j], speed[j])
+            following = Ramp(slope, extent[n], reach, speed[n])
+            slow, _ = overlap(braking, following, cosine[move[j]], tolerance)
             left = extent[j] - place
             leave = min(slow, max(enter, min(speed[j], np.sqrt(a * left + 0.5 * enter * enter))))
             lasted, tail = leave / a, leave * leave / (2.0 * a)
@@ -177,14 +225,14 @@ def motion(
             entered = min(follow, slope * lasted, extent[n] / lasted)
             rises = min(entered / slope, lasted)
         v = enter
-        enter = _phases(extent[j] - place - tail, v, speed[j], leave, a, evenly, time_s, change)
+        enter = _phases(extent[j] - place - tail, v, speed[j], leave, a, evenly, phases)
         begin = r
-        r, place = _alone(row, r, time_s, change, place, v, lead[j], round_[j])
+        r, place = _alone(row, r, phases, place, v, lead[j], round_[j])
         if lasted > 0.0:
-            r = _together(row, r, place, enter, a, rises, lasted, slope)
+            r = _together(row, r, place, enter, a, _Next(lasted, rises, slope))
             enter = 0.0
         piece[begin:r] = j
-        since += time_s.sum() + lasted
+        since += phases.time_s.sum() + lasted
         if ends[j] != GOES_ON and lasted == 0.0:
             # At rest to the end of the cycle.
             wait = CYCLE_S * np.ceil(since / CYCLE_S - 1e-6) - since
@@ -192,15 +240,16 @@ def motion(
             if wait > _INSTANT_S:
                 piece[r], row[r, 0], row[r, 1] = j, wait, place
                 r += 1
-    return piece[:r], row[:r], enter, entered, lasted, since
+    return piece[:r], row[:r], Started(enter, entered, lasted, since)
 
 
 @njit()
-def _alone(row, r, time_s, change, place, v, lead, radius):
+def _alone(row, r, phases, place, v, lead, radius):
     """Write the phases of a piece from row ``r`` on; return the next row and place.
 
-    On an arc of ``radius`` after a line ``lead`` rows end with each bend.
+    On an arc of ``radius`` after a line of length ``lead`` a row ends after each ``_BEND``.
     """
+    time_s, change = phases
     for q in range(3):
         left_s = time_s[q]
         while left_s > _INSTANT_S:
@@ -218,8 +267,9 @@ def _alone(row, r, time_s, change, place, v, lead, radius):
 
 
 @njit()
-def _together(row, r, place, v, rate, rises, lasts, slope):
+def _together(row, r, place, v, rate, following):
     """Write how a piece brakes to rest while the next speeds up; return the next row."""
+    lasts, rises, slope = following
     for q in range(2):
         t = rises if q == 0 else lasts - rises
         if t > _INSTANT_S:
@@ -251,21 +301,6 @@ def _until(place, v, change, lead, radius):
 
 _BACK = np.radians(2.0) ** 2  # squared sum of unit vectors below which a corner reverses
 _BEHIND = 2 * AHEAD  # moves after the settled ones
-
-
-class Corners(NamedTuple):
-    """Geometry that LinuxCNC measures at n - 1 corners; see ``link``."""
-
-    apart: NDArray[np.bool_]
-    plain: NDArray[np.bool_]
-    back: NDArray[np.bool_]
-    turns: FloatArray
-    theta: FloatArray
-    cosine: FloatArray
-    plane_rate: FloatArray
-    plane_speed: FloatArray
-    side: FloatArray
-    side_2: FloatArray
 
 
 def corners(rules: Rules, moves: Course) -> Corners:
@@ -328,8 +363,8 @@ class LinkedRun(MovesInHand):
     cut, takes, over
         Length and acceleration that the corner before the first buffered move took from it, and
         whether it overlaps the previous move.
-    enter, entered, lasted, since
-        Start of that move, as in ``motion``.
+    started
+        Start of that move.
     """
 
     planner: LinuxCncPlanner
@@ -337,14 +372,11 @@ class LinkedRun(MovesInHand):
     cut: float = 0.0
     takes: float = 0.0
     over: int = 0
-    enter: float = 0.0
-    entered: float = 0.0
-    lasted: float = 0.0
-    since: float = 0.0
+    started: Started = AT_REST
 
     def _rest(self) -> None:
         self.cut, self.takes, self.over = 0.0, 0.0, 0
-        self.enter, self.entered, self.lasted, self.since = 0.0, 0.0, 0.0, 0.0
+        self.started = AT_REST
 
     def extend(self, block: PieceBlock, rows: slice, *, ends: bool) -> Iterator[TrajectoryBlock]:
         """Add moves with their lines."""
@@ -374,27 +406,15 @@ class LinkedRun(MovesInHand):
         done = len(moves) if ends else len(moves) - _BEHIND
         if done <= 0:
             return
-        tolerance = self.planner.tolerance_m * MM
+        blending = Blending(self.planner.tolerance_m * MM, self.planner.exact_stop)
         at = corners(self.rules, moves)
-        links = Links(
-            *link(
-                moves.length,
-                *moves.limits(self.rules),
-                *at,
-                moves.bow,
-                tolerance,
-                self.planner.exact_stop,
-                self.cut,
-                self.takes,
-                self.over,
-            )
-        )
+        timed = TimedMoves(moves.length, *moves.limits(self.rules), moves.bow)
+        links = link(timed, at, blending, self.cut, self.takes, self.over)
         out = len(links.move) if ends else int(links.first[done])
-        piece, row, self.enter, self.entered, self.lasted, self.since = motion(
-            links.move, links.radius, links.lead, links.extent, links.most, links.speed,
-            links.rate, links.limit, links.ends, moves.bow, at.cosine, moves.nominal_s == 0.0,
-            tolerance, out, self.enter, self.entered, self.lasted, self.since,
-        )  # fmt: skip
+        rapid = moves.nominal_s == 0.0
+        piece, row, self.started = motion(
+            links, moves.bow, at.cosine, rapid, blending.tolerance, out, self.started
+        )
         if len(piece):
             coefficients = polynomials(links, moves, piece, row) / scale
             operation = moves.operation[links.move[piece]]

@@ -1,7 +1,7 @@
 """Moves of LinuxCNC as its planner runs them: lines, arcs in their corners, and how each ends.
 
-An arc swallows the rest of the move before it, if that takes less than four servo cycles, and
-begins with that piece of line (``linuxcnc_corners`` names the sources).
+If the rest of a move before an arc takes less than four servo cycles, the piece of the arc begins
+with that rest, a line (``linuxcnc_corners`` names the sources).
 """
 # mypy: disable-error-code="no-untyped-def,untyped-decorator"
 
@@ -21,6 +21,8 @@ from threadline.motion.timing.firmware.linuxcnc_corners import (
     GOES_ON,
     OVERLAPS,
     STOPS,
+    Arm,
+    Corner,
     corner,
 )
 from threadline.motion.timing.firmware.linuxcnc_moves import Course
@@ -30,22 +32,23 @@ _LEAST = 1.02  # cycles of a piece that is settled
 
 
 class Links(NamedTuple):
-    """Pieces of moves.
+    """The m pieces of n moves: lines, arcs, and arcs in corners.
 
     Parameters
     ----------
     move
-        (m,) the move of a piece, or the move before the arc of a corner.
+        (m,) the move of each piece, or the move before the arc of a corner.
     radius, turn, lead
-        (m,) radius of a corner's arc, 0 for others; its angle, and the line that it begins with.
+        (m,) radius of a corner's arc, 0 for other pieces; angle of the arc, and length of the line
+        before it.
     begin, extent
-        (m,) its start on its move (for an arc, the line before it); its length.
+        (m,) start of the piece on its move (for an arc, of the line before it), and its length.
     most, speed, rate
-        (m,) speed limit; limit including the feed; its acceleration along the path.
+        (m,) speed limit; speed limit including the feed; acceleration along the path.
     limit
-        (m,) speed limit at its end.
+        (m,) speed limit at the end of the piece.
     ends
-        (m,) how it ends.
+        (m,) how the piece ends, such as ``STOPS``.
     first
         (n,) the piece that begins with each move.
     cut, takes, over
@@ -70,9 +73,31 @@ class Links(NamedTuple):
     over: IntArray
 
 
+class TimedMoves(NamedTuple):
+    """The n moves that ``link`` joins, all (n,).
+
+    Parameters
+    ----------
+    length
+        Length, mm or degrees.
+    fastest, asked
+        Speed limit of the axes, and programmed speed.
+    acceleration
+        Acceleration along the move.
+    bow
+        Radius, 0 for a line.
+    """
+
+    length: FloatArray
+    fastest: FloatArray
+    asked: FloatArray
+    acceleration: FloatArray
+    bow: FloatArray
+
+
 @njit()
 def _along(most, rate, bow):
-    """Return speed limit and acceleration, less the centripetal part of an arc."""
+    """Return speed limit and acceleration along a move, less the centripetal part on an arc."""
     if bow == 0.0:
         return most, rate
     across = most * most / bow
@@ -82,40 +107,32 @@ def _along(most, rate, bow):
 
 
 @njit()
-def link(
-    length, fastest, asked, acceleration, apart, plain, back, turns, theta, cosine, plane_rate,
-    plane_speed, side, side_2, bow, tolerance, exact, cut, takes, over,
-):  # fmt: skip
-    """Return the columns of ``Links`` for n moves.
+def link(moves, corners, blending, cut, takes, over):
+    """Return the ``Links`` of n moves.
 
     Parameters
     ----------
-    length, fastest, asked, acceleration : (n,)
-        Of the moves: mm or degrees; speed limit of their axes; programmed speed.
-    apart, plain, back : (n - 1,) bool
-        Of the corners: a rapid move meets one at a feed; only X, Y and Z move before and after; the
-        path reverses.
-    turns, theta, cosine, plane_rate, plane_speed, side, side_2 : (n - 1,)
-        As in ``corner``.
-    bow : (n,)
-        Radius of each move, 0 for a line.
-    tolerance : float
-        P of G64, 0 for none.
-    exact : bool
-        Whether G61 is in force.
+    moves : TimedMoves
+        The moves.
+    corners : Corners
+        Their n - 1 corners.
+    blending : Blending
+        P of G64, or G61.
     cut, takes : float
         Length and acceleration that the corner before the first move took from it.
     over : int
         Whether the first move overlaps the previous one.
     """
+    length, fastest, asked, acceleration, bow = moves
+    apart, plain, back, turns, theta, cosine, plane_rate, plane_speed, side, side_2 = corners
     count = len(length)
-    whole, real = np.zeros((2, 2 * count), np.int64), np.zeros((9, 2 * count))
-    move, ends = whole[0], whole[1]
+    real = np.zeros((9, 2 * count))
+    move, ends = np.zeros(2 * count, np.int64), np.zeros(2 * count, np.int64)
     radius, turn, lead, begin, extent = real[0], real[1], real[2], real[3], real[4]
     most, speed, rate, limit = real[5], real[6], real[7], real[8]
     first, overs = np.zeros(count, np.int64), np.zeros(count, np.int64)
     cuts, taken = np.zeros(count), np.zeros(count)
-    usual = STOPS if exact else OVERLAPS
+    usual = STOPS if blending.exact else OVERLAPS
     able = np.minimum(fastest, (length - np.where(np.arange(count) == 0, cut, 0.0)) / CYCLE_S)
     last = 0
     for i in range(count):
@@ -125,13 +142,20 @@ def link(
             if apart[k] or (plain[k] and back[k]):
                 way = STOPS
             elif plain[k]:
+                first_arm = Arm(
+                    extent[p], length[k], able[k], asked[k], acceleration[k], bow[k], side[k]
+                )
+                second_arm = Arm(
+                    length[i], length[i], able[i], asked[i], acceleration[i], bow[i], side_2[k]
+                )
                 way, top, takes, bend, distance, cut, angle = corner(
-                    extent[p], length[k], able[k], asked[k], acceleration[k], taken[k],
-                    length[i], able[i], asked[i], acceleration[i], turns[k], theta[k], cosine[k],
-                    plane_rate[k], plane_speed[k], bow[k], side[k], bow[i], side_2[k],
-                    tolerance, exact,
-                )  # fmt: skip
-            # After moves in which a rotary axis turns it does not count.
+                    first_arm,
+                    second_arm,
+                    taken[k],
+                    Corner(turns[k], theta[k], cosine[k], plane_rate[k], plane_speed[k]),
+                    blending,
+                )
+            # An overlap with a move in which a rotary axis turns does not count.
             over = 1 if way == OVERLAPS and plain[k] else 0
             rest = extent[p] - distance
             swallows = way == BENDS and rest < _GAP * CYCLE_S * top
@@ -158,13 +182,13 @@ def link(
         cuts[i], taken[i], overs[i], first[i] = cut, takes, over, last
         move[last], begin[last], extent[last], ends[last] = i, cut, length[i] - cut, usual
         most[last], speed[last], limit[last] = able[i], asked[i], np.inf
-        half = 0.5 if over or not exact else 1.0
+        half = 0.5 if over or not blending.exact else 1.0
         rate[last] = acceleration[i] * (1.0 - takes) * half * (ALONG if bow[i] > 0.0 else 1.0)
         radius[last], turn[last], lead[last] = 0.0, 0.0, 0.0
     m = last + 1
     most[:last] = np.minimum(most[:last], extent[:last] / (_LEAST * CYCLE_S))
     speed[:m] = np.minimum(speed[:m], most[:m])
-    return (
+    return Links(
         move[:m], radius[:m], turn[:m], lead[:m], begin[:m], extent[:m], most[:m], speed[:m],
         rate[:m], limit[:m], ends[:m], first, cuts, taken, overs,
     )  # fmt: skip
@@ -176,7 +200,7 @@ _NEAR = 1e-9  # mm
 class _Curves(NamedTuple):
     """(m,) pieces: a line of length ``lead`` from ``origin`` along ``ahead``, then an arc.
 
-    Its radius is 0 if the line continues; it bends towards ``aside``. ``drift`` is added evenly.
+    The arc bends towards ``aside``; radius 0: the line continues. ``drift`` is added evenly.
     """
 
     origin: FloatArray
@@ -234,7 +258,7 @@ def _curves(links: Links, moves: Course) -> _Curves:
 def polynomials(links: Links, moves: Course, piece: IntArray, row: FloatArray) -> FloatArray:
     """Return (r, order, axes) coefficients of rows of ``motion``, in mm and degrees.
 
-    They are exact along lines, and match position and speed of an arc at both ends.
+    The polynomials are exact along lines, and match position and speed of an arc at both ends.
     """
     curves = _curves(links, moves)
     following = np.flatnonzero(row[:, 4:].any(axis=1))

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -18,13 +19,13 @@ from threadline.base.arrays import FloatArray, IntArray
 from threadline.motion.path.types import PieceBlock
 
 DEGREE = 5
-_LEAD_SHARE = 0.3  # of the first piece, in its own parameter: extent of a lead-in
+_LEAD_SHARE = 0.3  # share of the first piece, in its own parameter, for a lead-in
 _LEAST_LEAD_SHARE = 1e-5
 _PARTS_OF_STRAIGHT, _PARTS_OF_CURVE, _PARTS_OF_LEAD = 6, 2, 6
 OF_QUARTIC = 5  # coefficients of a piece; such paths have twice as many pieces at a corner
 DENSE = 5000
 """Number of pieces of a run above which curved pieces need no cut."""
-_ROUNDING = 1e-13  # of the largest coefficient of an axis: smaller ones are rounding
+_ROUNDING = 1e-13  # share of the largest coefficient of an axis: smaller ones are rounding
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -120,19 +121,8 @@ def restricted(c: FloatArray, begin: FloatArray, width: FloatArray) -> FloatArra
     return out
 
 
-def elements_of(
-    c: FloatArray,
-    ratio: FloatArray,
-    nominal_s: FloatArray,
-    operation: IntArray,
-    length: float,
-    *,
-    from_rest: bool,
-    to_rest: bool,
-    lead_share: tuple[float, float] = (_LEAD_SHARE, _LEAD_SHARE),
-    dense: bool | None = None,
-) -> Elements:
-    """Return the elements of consecutive pieces of one run.
+class RunPieces(NamedTuple):
+    """Consecutive pieces of one run.
 
     Parameters
     ----------
@@ -146,14 +136,36 @@ def elements_of(
         (n,) operation of each piece.
     length
         Parameter length of the first piece.
+    """
+
+    c: FloatArray
+    ratio: FloatArray
+    nominal_s: FloatArray
+    operation: IntArray
+    length: float
+
+
+def elements_of(
+    pieces: RunPieces,
+    *,
+    from_rest: bool,
+    to_rest: bool,
+    lead_share: tuple[float, float] = (_LEAD_SHARE, _LEAD_SHARE),
+    dense: bool | None = None,
+) -> Elements:
+    """Return the elements of pieces.
+
+    Parameters
+    ----------
     from_rest, to_rest
         Whether the run starts, or ends, here.
     lead_share
-        Largest share of a piece for the lead-in, and for the one to the rest at the end: there feed
-        and velocity bound the rate of the parameter, which is the speed at its end only.
+        Largest share of a piece for the lead-in at its start, and the lead-out at its end. There
+        feed and velocity bound the rate of the parameter, which equals the speed only at one end.
     dense
         Whether curved pieces need no cut. By default true for quartics, and for very many pieces.
     """
+    c, ratio, nominal_s, operation, length = pieces
     count, order, axes = c.shape
     full = np.zeros((count, DEGREE + 1, axes))
     full[:, :order] = c

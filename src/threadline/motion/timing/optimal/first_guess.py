@@ -102,11 +102,13 @@ _DIGITS = float(np.finfo(np.float64).eps)
 
 
 @njit()
-def even(length, c, guard, limit_v, limit_a, limit_j, demand, cap):
+def even(length, c, guard, limits, demand, cap):
     """Return the (n,) largest constant x, in units of the common parameter, for each element.
 
-    With such an x, the parameter advances at a constant rate and no limit is exceeded.
+    With such an x, the parameter advances at a constant rate and no limit is exceeded. ``limits``
+    are the (axes,) limits of velocity, acceleration and jerk.
     """
+    limit_v, limit_a, limit_j = limits
     n, order, axes = c.shape
     out = np.empty(n)
     for i in range(n):
@@ -249,5 +251,5 @@ def evenly(elements: Elements, limits: Limits) -> FloatArray:
     """Return the (n,) largest constant x of each element within all limits."""
     at, of = elements, limits
     least, top = np.minimum(*of.sides), top_of(at, of)
-    most = even(at.length, at.c, at.guard, of.velocity, least, of.jerk, of.demand, top)
+    most = even(at.length, at.c, at.guard, (of.velocity, least, of.jerk), of.demand, top)
     return np.asarray(most)

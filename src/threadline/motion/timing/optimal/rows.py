@@ -116,12 +116,14 @@ def _jerk_rows(c, j, degree, limit, out, points):
 
 
 @njit()
-def rows_of(c, guard, limit_v, limit_a, limit_j, acc, jerk, points):
+def rows_of(c, guard, limits, acc, jerk, points):
     """Write the rows of one element; return their numbers and the largest y.
 
+    ``limits`` are the (axes,) limits of velocity, acceleration and jerk.
     ``acc[i] . y`` and ``jerk[i] . y`` are shares of the limits; ``points[i]`` names the row of
     ``WEIGHTS`` for the Bernstein coefficient of y on the right side of row i of the jerk.
     """
+    limit_v, limit_a, limit_j = limits
     top = np.inf
     n_acc, n_jerk = 0, 0
     line_a, line_j = 0.0, 0.0  # of straight axes, which all share one shape
@@ -260,10 +262,9 @@ def assemble(c, guard, limit_v, limit_a, limit_j, cap):
     points = np.zeros((n, most), dtype=np.int8)
     count = np.zeros((n, 2), dtype=np.int64)
     top = np.empty(n)
+    limits = (limit_v, limit_a, limit_j)
     for i in range(n):
-        a, b, highest = rows_of(
-            c[i], guard[i], limit_v, limit_a, limit_j, acc[i], jerk[i], points[i]
-        )
+        a, b, highest = rows_of(c[i], guard[i], limits, acc[i], jerk[i], points[i])
         count[i, 0], count[i, 1] = a, b
         top[i] = min(highest, cap[i])
     return acc, jerk, points, count, top
@@ -370,13 +371,15 @@ def used_shares(
 
 
 @njit()
-def shares(c, guard, y, limit_v, limit_a, limit_j, demand, cap, places):
+def shares(c, guard, y, limits, demand, cap, places):
     """Return the (n, places, 3 axes + 1 + m + k) shares of the limits at ``places`` in [0, 1].
 
-    Velocity, acceleration and jerk of the first axis, of the next, ..., the feed, the largest of
-    each of m demands on a drive, and each of k guards. The jerk at a node is the jerk of the
-    present element.
+    The columns are velocity, acceleration and jerk of the first axis, of the next, ..., the feed,
+    the largest of each of m demands on a drive, and each of k guards. The jerk at a node is the
+    jerk of the present element. ``limits`` are the (axes,) limits of velocity, acceleration and
+    jerk.
     """
+    limit_v, limit_a, limit_j = limits
     n, axes = len(c), c.shape[2]
     behind = 3 * axes + 1
     out = np.zeros((n, len(places), behind + len(demand) + guard.shape[2]))

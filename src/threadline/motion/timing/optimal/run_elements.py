@@ -12,15 +12,15 @@ from threadline.base.arrays import FloatArray
 from threadline.motion.path.runs import COINCIDENT_M
 from threadline.motion.path.types import PieceBlock
 from threadline.motion.timing.optimal.along_path import divided, with_length
-from threadline.motion.timing.optimal.elements import Elements, elements_of
+from threadline.motion.timing.optimal.elements import Elements, RunPieces, elements_of
 from threadline.motion.timing.optimal.motion_limits import Limits
 from threadline.motion.timing.pieces import factors, slope
 
 BoolArray: TypeAlias = NDArray[np.bool_]
 
-_TURNED = 1e-8  # of a line: largest turn at its joint
-_AT_JERK = 0.87  # of sqrt(speed / jerk): a lead-in this long has room for twice the jerk
-_AT_SPEED = 0.1  # of the run-up time of the axes: duration of a lead-in at speed
+_TURNED = 1e-8  # largest turn of a line at its joint
+_AT_JERK = 0.87  # lead-in with room for twice the jerk, as a share of sqrt(speed / jerk)
+_AT_SPEED = 0.1  # duration of a lead-in at speed, as a share of the run-up time of the axes
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -79,15 +79,15 @@ def run_elements(
     Parameters
     ----------
     limits
-        Limits, with those along the path as one more axis.
+        Limits; limits along the path count as one more axis.
     before
-        The preceding pieces; without any, the motion begins at rest.
+        The preceding pieces; None: the motion begins at rest.
     to_rest
-        Whether it rests after the last piece.
+        Whether the motion rests after the last piece.
     dense
         Whether curved pieces need no cut; see ``elements_of``.
     slow
-        Number of pieces at the end in which it can come to rest, if it does not anyway.
+        Number of pieces at the end in which the motion can come to rest, unless it does anyway.
     """
     if limits.along is not None:
         run = divided(run)
@@ -116,11 +116,7 @@ def run_elements(
     share = _lead_share(c[0, 1], nominal_s[0], limits), _lead_share(last, nominal_s[-1], limits)
     return RunElements(
         elements=elements_of(
-            c,
-            ratio,
-            nominal_s,
-            operation,
-            begin,
+            RunPieces(c, ratio, nominal_s, operation, begin),
             from_rest=before is None,
             to_rest=to_rest,
             lead_share=share,
@@ -131,11 +127,13 @@ def run_elements(
         ending=None
         if to_rest
         else elements_of(
-            c[-slow:],
-            ratio[len(c) - slow :],
-            nominal_s[-slow:],
-            operation[-slow:],
-            float(length[-slow]),
+            RunPieces(
+                c[-slow:],
+                ratio[len(c) - slow :],
+                nominal_s[-slow:],
+                operation[-slow:],
+                float(length[-slow]),
+            ),
             from_rest=False,
             to_rest=True,
             lead_share=share,
@@ -164,9 +162,9 @@ def _beyond_rounding(
 def _reach_ends(c: FloatArray, start: FloatArray | None, end: FloatArray | None) -> None:
     """Move the start of the first piece and the end of the last, in place: by 0.1 nm at most.
 
-    A piece is bent by its highest power of the distance from its other end, so that it joins the
-    next one as smoothly as before. A line that hardly turns by it is moved at its end and stays a
-    line.
+    The highest power of a curved piece, counted from its other end, changes, so that the piece
+    joins its neighbour as smoothly as before. A line that hardly turns stays a line with another
+    end.
     """
     order, nothing = c.shape[1], np.zeros(c.shape[2])
     began = nothing if start is None else start - c[0, 0]
@@ -190,8 +188,8 @@ def _reach_ends(c: FloatArray, start: FloatArray | None, end: FloatArray | None)
 def _lead_share(rate: FloatArray, nominal_s: float, limits: Limits) -> float:
     """Return the share of a piece for a lead-in: the distance until the axes reach their speed.
 
-    The speed is the feed's, or the limit of an axis. While the axes have not reached it, neither
-    binds. A much longer lead-in has a speed that its elements approximate badly.
+    The speed is the feed, or the limit of an axis; neither binds before the axes reach it. In a
+    much longer lead-in the elements approximate the speed badly.
     """
     least_s = max(nominal_s, float((np.abs(rate) / limits.velocity).max()))
     if least_s == 0.0:

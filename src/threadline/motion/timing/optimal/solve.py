@@ -23,16 +23,16 @@ from threadline.motion.timing.optimal.rows import (
 
 _COARSE, _FINE = 0.03, 3e-3  # gaps at which elements are refined
 VARIED = 1.3  # ratio of y within an element, above which it is cut
-LOSS = 2e-3  # of the jerk time to the nearer limit
-_PART = 0.2  # of the barrier's cost of an element: losing less is acceptable
+LOSS = 2e-3  # share of the jerk time to the nearer limit
+_PART = 0.2  # acceptable loss, as a share of the barrier's cost of an element
 _MUCH = 64.0  # times the acceptable loss: such an element is cut in four
 _ROUNDS, IDLE_ROUNDS = 12, 6
-_FIRST_WEIGHT = 0.1  # of the duration, over all slacks
-_FALL = 0.35  # of the weight of the barrier from round to round
+_FIRST_WEIGHT = 0.1  # first weight of the barrier over all slacks, as a share of the duration
+_FALL = 0.35  # factor on the weight of the barrier from round to round
 _CENTRED = 5.0  # decrement, in roots of the number of slacks, at which the weight falls
-_STEPS = 60  # at one weight
-_KEPT = 0.9  # of the tightest limit, when the guards change
-_ROUNDED = 1e-7  # of a limit: an element whose rows have larger rounding is not cut
+_STEPS = 60  # most Newton steps at one weight
+_KEPT = 0.9  # used share of the tightest limit when the guards change
+_ROUNDED = 1e-7  # share of a limit: elements whose rows have larger rounding are not cut
 _AT_A_TIME = 2048  # elements per block of shares
 _PLACES = np.array([0.0, 0.5, 1.0])
 
@@ -143,7 +143,7 @@ class Problem:
         self.settled_s = 0.0
         """Distance from the held end, in time, within which no element is cut."""
         self.fresh = 0.0
-        """Place in the common parameter before which none is cut for reaching no limit."""
+        """Place in the common parameter: no element before it is cut for reaching no limit."""
         self._assemble()
         if begun is None:
             self._begin(most)
@@ -180,7 +180,7 @@ class Problem:
         """Replace the guards on the same elements, and start from the present motion slowed down.
 
         The used shares of velocity and acceleration limits are proportional to x, and the tangent
-        limits widen as x falls: slowed evenly, the motion is within all.
+        limits widen as x falls: a motion that is slowed evenly stays within all limits.
         """
         self.elements = elements
         self.weight = np.inf
@@ -243,7 +243,7 @@ class Problem:
                 if not np.isfinite(step).all():
                     return  # rounding ends it here: b keeps within all limits
                 if barrier.advance(self.b, step, length, self.rows, self.tangent) <= 0.0:
-                    return  # rounding took the last room to a limit
+                    return  # rounding has used up the room to a limit
                 barrier.follow(self.b, length, self.rows, self.tangent)
                 self.steps += 1
                 if decrement < _CENTRED * self.weight * np.sqrt(self.slacks):
@@ -276,11 +276,12 @@ class Problem:
     def _shares(self) -> Iterator[FloatArray]:
         """Yield the (m, places, limits) used shares of the limits of elements, some at a time."""
         at, of = self.elements, self.limits
-        largest, all_y = of.largest_acceleration, bernstein(self.b, at.length)
+        limits = of.velocity, of.largest_acceleration, of.jerk
+        all_y = bernstein(self.b, at.length)
         for begin in range(0, len(at), _AT_A_TIME):
             own = slice(begin, begin + _AT_A_TIME)
             c, guard, y, top = at.c[own], at.guard[own], all_y[own], self.top[own]
-            used = shares(c, guard, y, of.velocity, largest, of.jerk, of.demand, top, _PLACES)
+            used = shares(c, guard, y, limits, of.demand, top, _PLACES)
             if of.deceleration is None:
                 yield np.asarray(used)
             else:
@@ -301,7 +302,7 @@ class Problem:
         return moving - int(np.searchsorted(np.cumsum(time_s[::-1]), self.settled_s))
 
     def _idle(self) -> IntArray:
-        """Return 2 for each element that reaches no limit somewhere, to be cut in two, else 1."""
+        """Return 2 for each element to cut in two, since it reaches no limit somewhere, else 1."""
         time_s = (bernstein(self.b, self.elements.length) ** -0.5).mean(axis=1)
         used = np.concatenate([part.max(axis=2).min(axis=1) for part in self._shares()])
         lost_s = time_s * (1.0 - used)
