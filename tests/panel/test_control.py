@@ -37,7 +37,9 @@ class Model:
         self.asks = None if self.asks == client else self.asks
 
 
-@settings(max_examples=300)
+# One bug at a time: a group of errors would not be the AssertionError that
+# test_panel_guards_removed expects.
+@settings(max_examples=300, report_multiple_bugs=False)
 @given(STEPS)
 def test_lease_of_control_agrees_with_a_simple_model(steps: list[tuple[str, int, float]]) -> None:
     numbers = count()
