@@ -30,28 +30,20 @@ class Command(NamedTuple):
 
 
 class _Place(NamedTuple):
-    """Segment ``k`` of the command: it begins at row ``start`` and is ``length`` m long.
+    """Segment ``k`` of the command at sample ``i``: from row ``start``, ``length`` m long.
 
     Of the first place within the lag only the end counts: then ``start`` is ``k``, and ``length``
-    and ``inverse`` are 0.
+    and ``inverse`` are 0. ``row`` is its row of values; a run needs the place if its value is at
+    most ``limit``.
     """
 
+    i: int
     k: int
+    row: int
     start: int
     inverse: float
     length: float
-
-
-class _Values(NamedTuple):
-    """Values of each run at a place, (runs,) squared; see ``_advance``.
-
-    ``carry`` is the previous value at the beginning of the place, ``row`` at its end. ``least`` is
-    the least value of this place and the places before.
-    """
-
-    carry: FloatArray
-    row: FloatArray
-    least: FloatArray
+    limit: float
 
 
 def _given_up(
@@ -95,11 +87,16 @@ def _ahead(
 ahead = njit(nogil=True)(_ahead)
 
 
-def _bounds(boxes: Boxes, i: int, command: Command, place: _Place) -> tuple[float, float]:
-    """Return a lower and an upper bound of the squared distance of box i to a place."""
-    _, lower, upper, _, _ = boxes
-    points, vector, _, _, _ = command
-    k, start, inverse, _ = place
+def _bounds(
+    lower: FloatArray,
+    upper: FloatArray,
+    points: FloatArray,
+    vector: FloatArray,
+    place: _Place,
+) -> tuple[float, float]:
+    """Return a lower and an upper bound of the squared distance of a sample's box to a place."""
+    i, k, _, start, inverse, _, _ = place
+    i += 1  # row 0 of the boxes is the sample before
     middle, half = 0.0, 0.0
     for a in range(vector.shape[1]):
         centre = 0.5 * (lower[i, a] + upper[i, a])
@@ -118,42 +115,43 @@ _bounds_fast = njit(nogil=True)(_bounds)
 
 
 def _stay_at(
-    point: FloatArray,
+    tool: FloatArray,
     off: FloatArray,
-    command: Command,
+    points: FloatArray,
+    vector: FloatArray,
     place: _Place,
     axes: tuple[int, ...] | FloatArray,
-    values: _Values,
+    value: FloatArray,
+    reached: FloatArray,
     worst: FloatArray,
-    limit: float,
 ) -> tuple[int, int]:
-    """Advance the values of a place by one sample, (axes, runs), at ``off`` from the path.
+    """Advance the values of a place of the command by one sample of ``tool``.
 
-    Return the number of runs in which the least of all places so far is at most ``limit``, and in
-    which it exceeds ``worst``. ``axes`` is a tuple with one entry per axis: its length is known at
-    compile time, and loops over axes are unrolled.
+    ``off`` is the squared distance of the sample from the path. ``reached``, (2, runs), are the
+    previous values at the beginning of the place, and the least values of the places before; both
+    are updated. Return the number of runs in which the least value so far is at most
+    ``place.limit``, and in which it exceeds ``worst``. ``axes`` is a tuple with one entry per axis:
+    its length is known at compile time, and loops over axes are unrolled.
 
     From the beginning of the place on, the root of the value decreases by the distance, down to the
     value at the end. So the least value is where the tool is nearest, or farther on, where its
     growing distance meets the decreasing root.
     """
-    points, vector, _, _, _ = command
-    k, start, inverse, length = place
-    carry, row, least = values
+    i, k, row, start, inverse, length, limit = place
     near, farther = 0, 0
-    for r in range(len(carry)):
-        left, held = carry[r], row[r]
+    for r in range(len(worst)):
+        left, held = reached[0, r], value[row, r]
         along = 0.0
         for a in range(len(axes)):
-            along += (point[a, r] - points[start, a]) * vector[k, a]
+            along += (tool[i, a, r] - points[start, a]) * vector[k, a]
         share = along * inverse
         where = share if share > 0.0 else 0.0
         where = where if where < 1.0 else 1.0
         away = 0.0
         for a in range(len(axes)):
-            gap = point[a, r] - points[start, a] - where * vector[k, a]
+            gap = tool[i, a, r] - points[start, a] - where * vector[k, a]
             away += gap * gap
-        error = away - off[r]
+        error = away - off[i, r]
         behind = np.sqrt(left) - where * length
         beside, room = (where - share) * length, (1.0 - where) * length
         on = (behind * behind - error) / (2.0 * (behind + beside))
@@ -162,11 +160,11 @@ def _stay_at(
         on = on if behind > 0.0 and behind * behind > error else 0.0
         error += on * (2.0 * beside + on)
         error = error if error > held else held
-        carry[r] = held
-        least[r] = error if error < least[r] else least[r]
-        row[r] = least[r]
-        near += least[r] <= limit
-        farther += least[r] > worst[r]
+        least = reached[1, r]
+        least = error if error < least else least
+        reached[0, r], reached[1, r], value[row, r] = held, least, least
+        near += least <= limit
+        farther += least > worst[r]
     return near, farther
 
 
@@ -228,21 +226,21 @@ def _advance(  # noqa: PLR0915 - one loop over the places; each call would be co
     (
         command, first, number, lag, places, value, worst, at, side, ceilings, dropped, _, _,
     ) = part  # fmt: skip
-    known, _, _, _, _ = boxes
+    known, lower, upper, _, _ = boxes
     commanded, vector, inverse, length, heading = command
     samples, axes, runs = points.shape
     rows, origin = len(value), number - first
     first, number = first + beginning, number + beginning
     low, high, ceiling = places[0], places[1], ceilings[0]
-    carry, least = np.empty(runs), np.empty(runs)
+    reached = np.empty((2, runs))  # as in ``_stay_at``
     near = np.zeros(rows, dtype=np.int64)  # for each place, number of runs that need it
     settled, raised, floor, skipped, farther = False, known, 0.0, np.inf, 0
     for i in range(samples):
         last = first + i
         begin = max(last - lag, 0)
         for r in range(runs):
-            carry[r] = 0.0 if number + i == 0 else np.inf
-            least[r] = np.inf
+            reached[0, r] = 0.0 if number + i == 0 else np.inf
+            reached[1, r] = np.inf
         if raised and known:
             floor = np.inf
             for r in range(runs):
@@ -251,20 +249,21 @@ def _advance(  # noqa: PLR0915 - one loop over the places; each call would be co
         if low < begin:  # beyond the lag: the tool must have passed these
             row = (origin + min(begin - 1, high)) % rows
             for r in range(runs):
-                carry[r] = value[row, r]
+                reached[0, r] = value[row, r]
             low = begin
         k, farther = low, 0
         while True:
             # Only the end of the first place is within the lag.
-            place = _Place(k, k - 1, inverse[k], length[k]) if k > begin else _Place(k, k, 0.0, 0.0)
+            start, per_square, long = (k - 1, inverse[k], length[k]) if k > begin else (k, 0.0, 0.0)
             limit = (np.sqrt(ceiling) + (length[k + 1] if k < last else 0.0)) ** 2
             row = (origin + k) % rows
+            place = _Place(i, k, row, start, per_square, long, limit)
             if k > high:
                 for r in range(runs):
-                    value[row, r] = carry[r]
+                    value[row, r] = reached[0, r]
             apart, across = 0.0, np.inf
             if known:
-                apart, across = _bounds_fast(boxes, i + 1, command, place)
+                apart, across = _bounds_fast(lower, upper, commanded, vector, place)
             if k > high and settled and across <= floor:
                 for r in range(runs):
                     value[row, r] = 0.0
@@ -277,21 +276,20 @@ def _advance(  # noqa: PLR0915 - one loop over the places; each call would be co
                 if not near[row]:  # dropped without a value
                     skipped = min(skipped, ceiling)
                     for r in range(runs):
-                        carry[r] = value[row, r]
+                        reached[0, r] = value[row, r]
                     low, k = low + 1, k + 1
                     continue
-            values = _Values(carry, value[row], least)
             if axes == 3:
                 near[row], farther = _stay_at_fast(
-                    points[i], off[i], command, place, (0, 0, 0), values, worst, limit
+                    points, off, commanded, vector, place, (0, 0, 0), value, reached, worst
                 )
             elif axes == 2:
                 near[row], farther = _stay_at_fast(
-                    points[i], off[i], command, place, (0, 0), values, worst, limit
+                    points, off, commanded, vector, place, (0, 0), value, reached, worst
                 )
             else:
                 near[row], farther = _stay_at_fast(
-                    points[i], off[i], command, place, vector[k], values, worst, limit
+                    points, off, commanded, vector, place, vector[k], value, reached, worst
                 )
             # If every run is good enough, no later place is better.
             if k == last or not farther:
@@ -301,11 +299,12 @@ def _advance(  # noqa: PLR0915 - one loop over the places; each call would be co
         if farther:
             raised = True
             for r in range(runs):
-                if least[r] > worst[r]:
-                    worst[r], at[r] = least[r], number + i
+                least = reached[1, r]
+                if least > worst[r]:
+                    worst[r], at[r] = least, number + i
                     ceiling = max(ceiling, CEILING * worst[r])
                     k = low
-                    while value[(origin + k) % rows, r] > least[r]:
+                    while value[(origin + k) % rows, r] > least:
                         k += 1
                     start = k - 1 if k > begin else k
                     side[r] = ahead(

@@ -21,7 +21,7 @@ from threadline.verdict.bow import (
 )
 from threadline.verdict.contour import ContourPart
 from threadline.verdict.nearest import Candidates, Chords, Search, Shares, search_segment
-from threadline.verdict.places import ProgressPart, ahead
+from threadline.verdict.places import Command, ProgressPart, ahead
 
 
 def _nearest_chords(
@@ -158,8 +158,8 @@ def _raise_and_lower(
                 if len(share):
                     weights[a] = share[i, a]
         low, high = min(begin[i], begin[i + 1]), max(end[i], end[i + 1])
-        search = Search(vertices, low, high, near_start, chord[i])
         if chord[i] != near_start:
+            search = Search(vertices, low, high, near_start, chord[i])
             search_segment(here, there, weights, search, farthest, run, i)
         if bowed:
             long = 0.0
@@ -173,6 +173,7 @@ def _raise_and_lower(
                 for a in range(axes):
                     m0[a], m1[a] = tangents[i, a, 0], tangents[i + 1, a, 0]
                 span = Span(here, there, m0, m1)
+                search = Search(vertices, low, high, near_start, chord[i])
                 if long == 0.0:
                     bow = bow_across(span, weights, search, bow)
                 if may_be_farther(first, squared[i], long, bow, worst[0]):
@@ -196,15 +197,23 @@ def _raise_and_lower(
 contour_of_one = njit(nogil=True)(_raise_and_lower)
 
 
-def _advance(points: FloatArray, off: FloatArray, part: ProgressPart) -> None:
+def _advance(
+    points: FloatArray,
+    off: FloatArray,
+    command: Command,
+    counts: tuple[int, int, int],
+    places: IntArray,
+    value: FloatArray,
+    worst: FloatArray,
+    at: IntArray,
+    side: FloatArray,
+) -> None:
     """Advance the places of the command by (n, axes) samples: ``places.move_on`` for one run.
 
-    ``off``, (n,), are the squared distances of the samples from the path.
+    ``counts`` are ``first``, ``number`` and ``lag`` of the ``ProgressPart``.
     """
-    (
-        segments, first, number, lag, places, value, worst, at, side, _, _, _, _,
-    ) = part  # fmt: skip
-    command, vector, inverse, length, heading = segments
+    first, number, lag = counts
+    commanded, vector, inverse, length, heading = command
     samples, axes = points.shape
     rows, origin = len(value), number - first
     low, high, most = places[0], places[1], worst[0]
@@ -222,12 +231,12 @@ def _advance(points: FloatArray, off: FloatArray, part: ProgressPart) -> None:
             left, held = carry, value[row, 0] if k <= high else carry
             along, away = 0.0, 0.0
             for a in range(axes):
-                along += (points[i, a] - command[start, a]) * vector[k, a]
+                along += (points[i, a] - commanded[start, a]) * vector[k, a]
             place = along * per_square
             where = place if place > 0.0 else 0.0
             where = where if where < 1.0 else 1.0
             for a in range(axes):
-                gap = points[i, a] - command[start, a] - where * vector[k, a]
+                gap = points[i, a] - commanded[start, a] - where * vector[k, a]
                 away += gap * gap
             error = away - off[i]
             behind = np.sqrt(left) - where * long
@@ -252,8 +261,17 @@ def _advance(points: FloatArray, off: FloatArray, part: ProgressPart) -> None:
                 k += 1
             within = k > begin
             start, per_square = (k - 1, inverse[k]) if within else (k, 0.0)
-            side[0] = ahead(points[i], command[start], vector[k], per_square, heading[k])
+            side[0] = ahead(points[i], commanded[start], vector[k], per_square, heading[k])
     places[0], places[1], worst[0] = low, high, most
 
 
-progress_of_one = njit(nogil=True)(_advance)
+_advance_fast = njit(nogil=True)(_advance)
+
+
+def progress_of_one(points: FloatArray, off: FloatArray, part: ProgressPart) -> None:
+    """Advance the places of the command by (n, axes) samples at ``off``, squared, from the path."""
+    # Compiled code would unpack all of ``part``.
+    counts = part.first, part.number, part.lag
+    _advance_fast(
+        points, off, part.command, counts, part.places, part.value, part.worst, part.at, part.side
+    )

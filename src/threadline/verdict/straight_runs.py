@@ -103,9 +103,8 @@ def _opened(start: FloatArray) -> _Open:
 
 
 @njit()
-def _goes_on(vertex, speed, run):  # type: ignore[no-untyped-def]
-    """Return whether the move to ``vertex`` belongs to the run."""
-    corner, last, heading, numbers = run
+def _goes_on(vertex, speed, corner, last, heading, numbers):  # type: ignore[no-untyped-def]
+    """Return whether the move from ``last`` to ``vertex`` belongs to the run."""
     if numbers[3] > 0.0:
         return False
     moved, length = 0.0, 0.0
@@ -130,14 +129,13 @@ def _goes_on(vertex, speed, run):  # type: ignore[no-untyped-def]
 
 
 @njit()
-def _take(vertex, speed, run):  # type: ignore[no-untyped-def]
+def _take(vertex, speed, corner, last, heading, numbers):  # type: ignore[no-untyped-def]
     """Add a move to the run.
 
     The directions in which a vertex is on the line form a circle about the direction to the vertex;
     its radius falls with the distance of the vertex. Two circles intersect in a lens. The largest
     circle in the lens is kept.
     """
-    corner, last, heading, numbers = run
     moved, length = 0.0, 0.0
     for a in range(len(vertex)):
         moved += (vertex[a] - last[a]) ** 2
@@ -169,16 +167,16 @@ def _take(vertex, speed, run):  # type: ignore[no-untyped-def]
 @njit()
 def _find_ends(vertices, speed, rest, run, ends):  # type: ignore[no-untyped-def]
     """Fill in (n,) ``ends``: whether a run ends before each vertex; keep the last run open."""
-    corner, last, _, numbers = run
+    corner, last, heading, numbers = run
     for i in range(len(vertices)):
         start = numbers[3] == 2.0
-        ends[i] = not _goes_on(vertices[i], speed[i], run)
+        ends[i] = not _goes_on(vertices[i], speed[i], corner, last, heading, numbers)
         if ends[i]:
             # An assignment of arrays would compile numba's message about shapes, for two seconds.
             for a in range(len(corner)):
                 corner[a] = last[a]
             numbers[0], numbers[1], numbers[2], numbers[3] = -1.0, 0.0, -1.0, 0.0
-        _take(vertices[i], speed[i], run)
+        _take(vertices[i], speed[i], corner, last, heading, numbers)
         numbers[3] = 1.0 if rest[i] or start else 0.0
 
 
