@@ -66,12 +66,14 @@ def analyse(
             remedy=f"It has: {', '.join(chosen.moving)}.",
         )
     names = list(chosen.moving) if axis is None else [axis]
-    of_loops = {"--data": data is not None, "--lead": lead is not None}
-    named = [name for name, given in (of_loops | {"--experiments": experiments}).items() if given]
-    without = [n for n in names if n not in chosen.axes or not chosen.axes[n].controller]
-    if named and without:
+    loop_options = {"--data": data is not None, "--lead": lead is not None}
+    used = [
+        name for name, given in (loop_options | {"--experiments": experiments}).items() if given
+    ]
+    without_loop = [n for n in names if n not in chosen.axes or not chosen.axes[n].controller]
+    if used and without_loop:
         raise OptionError(
-            f"{named[0]} needs a loop, and axis {without[0]} of {chosen.name!r} has none",
+            f"{used[0]} needs a loop, and axis {without_loop[0]} of {chosen.name!r} has none",
             remedy="Leave it out, or name a machine with controllers and axes.",
         )
     if data is not None and axis is None and len(chosen.axes) > 1:
@@ -85,7 +87,7 @@ def analyse(
     if replaced:  # the rest of the analysis uses the designed filters
         chosen = with_numbers(chosen, replaced)
     analyses = {name: analyse_moving(chosen, name) for name in names}
-    apart = (
+    deviations = (
         {}
         if measured is None
         else {name: measured.against(axis_loop(chosen, name)) for name in names}
@@ -99,15 +101,15 @@ def analyse(
     )
     if json:
         points = 0 if measured is None else len(measured.frequency_hz)
-        content = _content(chosen.name, analyses, warnings, apart, points, written)
+        content = _content(chosen.name, analyses, warnings, deviations, points, written)
         for name, (design, _) in designs.items():
             content["axes"][name]["lead"] = _lead_json(design)
         for name, outcome in tried.items():
             content["axes"][name]["experiments"] = outcome.as_json()
         print_json(content)
     else:
-        for said in warnings:
-            warning(said)
+        for warning_text in warnings:
+            warning(warning_text)
         for table in analysis_tables(analyses):
             print_table(table.title, table.header, table.rows)
         for outcome in tried.values():
@@ -122,8 +124,8 @@ def analyse(
             )
         for analysis in analyses.values():
             say(analysis.verdict())
-            if analysis.axis in apart:
-                level, phase = apart[analysis.axis]
+            if analysis.axis in deviations:
+                level, phase = deviations[analysis.axis]
                 say(
                     f"axis {analysis.axis}: the measured response is {level:.2f} dB and "
                     f"{phase:.1f} deg (rms) from the model"
@@ -137,12 +139,12 @@ def _content(
     name: str,
     analyses: dict[str, Analysis],
     warnings: list[str],
-    apart: dict[str, tuple[float, float]],
+    deviations: dict[str, tuple[float, float]],
     points: int,
     written: Path | None,
 ) -> dict[str, Any]:
     axes: dict[str, Any] = {key: a.as_json() for key, a in analyses.items()}
-    for key, (level, phase) in apart.items():
+    for key, (level, phase) in deviations.items():
         axes[key]["measured"] = {"points": points, "rms_db": level, "rms_deg": phase}
     content: dict[str, Any] = {
         "machine": name,
@@ -162,7 +164,7 @@ def _designs(machine: Machine, axes: list[str], text: str) -> dict[str, tuple[Le
         raise OptionError(f"--lead {text!r} is not a crossover and a margin", remedy=_LEAD_EXAMPLE)
     crossover = parse_quantity(parts[0], "Hz")
     margin = math.degrees(parse_quantity(parts[1], "rad"))
-    found = {}
+    designs = {}
     for axis in axes:
         name = machine.axes[axis].controller
         if not isinstance(machine.controllers[name], LeadFilter):
@@ -170,8 +172,8 @@ def _designs(machine: Machine, axes: list[str], text: str) -> dict[str, tuple[Le
                 f"--lead: controllers.{name} of axis {axis} is no lead filter",
                 remedy='Give it kind = "lead" in the machine file.',
             )
-        found[axis] = (design_lead(axis_loop(machine, axis), crossover, margin), name)
-    return found
+        designs[axis] = (design_lead(axis_loop(machine, axis), crossover, margin), name)
+    return designs
 
 
 def _lead_json(design: LeadDesign) -> dict[str, float]:

@@ -109,22 +109,22 @@ def cam(
         return
     for text in study.warnings:
         warning(text)
-    for each in tables:
-        print_table(each.title, each.header, each.rows)
+    for table_shown in tables:
+        print_table(table_shown.title, table_shown.header, table_shown.rows)
     for line in study.rise.said:
         say(line)
-    how = (
+    noise_origin = (
         "as given"
         if study.noise_given
         else "from the number of printed digits"
         if study.noise_m <= table.rounding_m
         else "estimated from fourth differences"
     )
-    say(f"noise {1e3 * study.noise_m:.3g} mm, {how}")
-    bounced = study.rebounded
+    say(f"noise {1e3 * study.noise_m:.3g} mm, {noise_origin}")
+    rebound = study.rebounded
     say(
-        f"the rebound ended after {bounced.passes} passes, by {bounced.stopped_by}, with rows "
-        f"moved by {1e3 * bounced.moved:.3g} mm rms"
+        f"the rebound ended after {rebound.passes} passes, by {rebound.stopped_by}, with rows "
+        f"moved by {1e3 * rebound.moved:.3g} mm rms"
     )
     if written is not None:
         say(f"Report: {written}")
@@ -137,33 +137,33 @@ def _notes(study: CamStudy) -> dict[int, str]:
         for flag in study.cam.flags
     }
     for row in study.outliers:
-        said = f"outlier: {study.scaled[row]:+.1f} times the noise off, kept"
-        notes[row] = f"{notes[row]}; {said}" if row in notes else said
+        remark = f"outlier: {study.scaled[row]:+.1f} times the noise off, kept"
+        notes[row] = f"{notes[row]}; {remark}" if row in notes else remark
     return notes
 
 
 def _rows(study: CamStudy, *, everything: bool = False) -> Table:
     """Return every row if they are few or ``everything`` is set, else the rows with a remark."""
     table, notes = study.cam, _notes(study)
-    whole = everything or len(table.h_m) <= _FEW
+    all_rows = everything or len(table.h_m) <= _FEW
     faired = study.faired(study.chosen)
     assert faired is not None
-    degrees = table.triangle is not None
+    has_angles = table.triangle is not None
     rows = [
         [
             f"{np.degrees(table.alpha_rad[k]):g}",
             f"{1e3 * table.h_m[k]:.3f}",
-            f"{np.degrees(table.follower[k]):.3f}" if degrees else "",
+            f"{np.degrees(table.follower[k]):.3f}" if has_angles else "",
             f"{1e3 * faired.distances_m[k]:.3f}",
             f"{1e3 * (faired.distances_m[k] - table.h_m[k]):+.3f}",
             notes.get(k, ""),
         ]
         for k in range(len(table.h_m))
-        if whole or k in notes
+        if all_rows or k in notes
     ]
-    which = "" if whole else f", the ones of {len(table.h_m)} with a remark"
+    rows_text = "" if all_rows else f", the ones of {len(table.h_m)} with a remark"
     return Table(
-        title=f"Rows of {table.file}{which}",
+        title=f"Rows of {table.file}{rows_text}",
         header=["alpha deg", "h mm", "phi deg", f"{study.chosen} mm", "moved mm", "note"],
         rows=rows,
     )
@@ -175,21 +175,21 @@ def _fairings(study: CamStudy) -> Table:
         header=["fairing", "moved mm rms", "2nd difference mm", "Cv", "Ca", "Cj", "note"],
         rows=[
             [
-                str(each.fairing) + (" *" if each.fairing is study.chosen else ""),
-                f"{1e3 * each.moved_m:.4f}",
-                f"{1e3 * each.second_m:.4f}",
-                *_peaks(each),
-                "" if each.monotone else "goes back",
+                str(faired.fairing) + (" *" if faired.fairing is study.chosen else ""),
+                f"{1e3 * faired.moved_m:.4f}",
+                f"{1e3 * faired.second_m:.4f}",
+                *_peaks(faired),
+                "" if faired.monotone else "goes back",
             ]
-            for each in study.fairings
+            for faired in study.fairings
         ],
     )
 
 
-def _peaks(each: Faired) -> list[str]:
+def _peaks(faired: Faired) -> list[str]:
     return [
         f"{peak:.4g} +- {spread:.2g}" if np.isfinite(peak) else "infinite"
-        for peak, spread in zip(each.peaks.tolist(), each.spread.tolist(), strict=True)
+        for peak, spread in zip(faired.peaks.tolist(), faired.spread.tolist(), strict=True)
     ]
 
 

@@ -53,11 +53,15 @@ def compare(
     """
     trials = words.trials()
     check_outputs(folder=report)
-    named = words.machine(machine)
-    defaults = kind_of(named).compared
+    file_machine = words.machine(machine)
+    defaults = kind_of(file_machine).compared
     feed, shaper = words.text("feed"), words.text("shaper")
     interpolation = words.text("interpolation")
-    if interpolation is None and named.planner is not None and not words.flag("feed_forward"):
+    if (
+        interpolation is None
+        and file_machine.planner is not None
+        and not words.flag("feed_forward")
+    ):
         interpolation = f"{FIRMWARE},{AUTO}"
     names = _values(interpolation, defaults, "interpolation", DEFAULT_INTERPOLATION)
     shapers = _values(shaper, defaults, "shaper", UNSHAPED_WORD)
@@ -66,12 +70,12 @@ def compare(
         shown.append("shaper")
     feeds = [] if feed is None else _listed(feed, "--feed")
     planned = words.each_options(job, names, feeds, shapers)
-    chosen = with_radii_of(named, planned[0])
-    read = open_job(job, chosen, planned[0])
-    warn(chosen, read, own_feed=any(one.own_feeds for one in planned))
+    chosen = with_radii_of(file_machine, planned[0])
+    job_read = open_job(job, chosen, planned[0])
+    warn(chosen, job_read, own_feed=any(one.own_feeds for one in planned))
     with progress_bar(not json) as progress:
-        found = compare_job(
-            read,
+        comparison = compare_job(
+            job_read,
             chosen,
             words.spec(chosen),
             planned,
@@ -79,23 +83,25 @@ def compare(
             progress=progress,
             trials=trials,
         )
-        tables = comparison_tables(found, shown)
-        written = None if report is None else write_comparison(found, report, tables)
-    for said in dict.fromkeys(line for proof in found.proofs for line in proof_warnings(proof)):
-        warning(said)
-    left_out = left_out_words(found, job, machine) if fastest else None
+        tables = comparison_tables(comparison, shown)
+        written = None if report is None else write_comparison(comparison, report, tables)
+    for warning_text in dict.fromkeys(
+        line for proof in comparison.proofs for line in proof_warnings(proof)
+    ):
+        warning(warning_text)
+    left_out = left_out_words(comparison, job, machine) if fastest else None
     if json:
-        content = comparison_json(found) | {"fastest_left_out": left_out}
+        content = comparison_json(comparison) | {"fastest_left_out": left_out}
         if written is not None:
             content["report"] = str(written)
         print_json(content)
     else:
-        show_comparison(found, shown)
+        show_comparison(comparison, shown)
         if left_out is not None:
             say(left_out)
         if written is not None:
             say(f"Report: {written}")
-    raise typer.Exit(0 if all(proof.verdict.passed for proof in found.proofs) else 1)
+    raise typer.Exit(0 if all(proof.verdict.passed for proof in comparison.proofs) else 1)
 
 
 def show_comparison(found: Comparison, shown: Sequence[str]) -> None:
@@ -155,8 +161,8 @@ def _fastest_row(name: str, result: FastestJob, reference: FastestJob) -> list[s
     best = rung.found.best
     if best is None:
         return [name, "none", "-", "-", "-", rung.found.limited_by]
-    mixed = reference.by is FeedMode.OVERRIDE
-    answer = f"{best * 1e3:.1f}{' mm/s' if mixed else ''}"
+    names_unit = reference.by is FeedMode.OVERRIDE
+    answer = f"{best * 1e3:.1f}{' mm/s' if names_unit else ''}"
     if result.by is FeedMode.OVERRIDE:
         answer = f"{best * 100.0:.4g} %"
     return [

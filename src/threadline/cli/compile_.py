@@ -81,8 +81,8 @@ def compile_(
         plan = plan_job(open_job(job, chosen, options), chosen, options)
         WRITING.begin()
         progress(WRITING_STAGE, 0.0)
-        more = [*plan.intent.warnings, *tolerance_warnings(plan)]
-        warn(chosen, plan.job, more, own_feed=options.own_feeds)
+        more_warnings = [*plan.intent.warnings, *tolerance_warnings(plan)]
+        warn(chosen, plan.job, more_warnings, own_feed=options.own_feeds)
         with together(out):
             if passes:
                 check_limits(plan.motion.trajectory, plan.machine)

@@ -48,27 +48,27 @@ def connect(
     """
     if output is not None:
         _check(output)
-    found = ask_controller(address, baud)
+    answer = ask_controller(address, baud)
     file = output
     if file is None:
-        file = Path("printer.cfg" if found.kind == KLIPPER else f"{found.kind}-settings.txt")
+        file = Path("printer.cfg" if answer.kind == KLIPPER else f"{answer.kind}-settings.txt")
         _check(file)
     with staged_file(file) as staged:
-        staged.write(found.text.encode("utf-8"))
-    settings = settings_of(found.kind, file)
+        staged.write(answer.text.encode("utf-8"))
+    settings = settings_of(answer.kind, file)
     rows = read_rows(settings)
-    command = f"threadline new {found.kind} my-machine --from {shlex.quote(str(file))}"
+    command = f"threadline new {answer.kind} my-machine --from {shlex.quote(str(file))}"
     if json:
         keys = ("setting", "value", "from")
         print_json(
             {
-                "kind": found.kind, "identity": found.identity, "file": str(file),
+                "kind": answer.kind, "identity": answer.identity, "file": str(file),
                 "read": [dict(zip(keys, row, strict=True)) for row in rows],
                 "notes": settings.notes, "left_out": settings.unheeded, "new": command,
             }
         )  # fmt: skip
         return
-    say(f"{found.kind}: {found.identity}")
+    say(f"{answer.kind}: {answer.identity}")
     print_table(f"settings in {file}", ("setting", "value", "from"), rows)
     for text in (*settings.notes, *settings.unheeded):
         say(f"  {text}")

@@ -83,12 +83,12 @@ def control(
     )
     chosen = load_machine(machine)
     check_outputs(file=output)
-    found = design_controllers(chosen, wanted, output)
+    designed = design_controllers(chosen, wanted, output)
     if json:
-        print_json(found.content())
+        print_json(designed.content())
     else:
-        _show(found)
-    raise typer.Exit(0 if found.stable else 1)
+        _show(designed)
+    raise typer.Exit(0 if designed.stable else 1)
 
 
 def _listed(text: str | None) -> tuple[str, ...] | None:
@@ -98,19 +98,19 @@ def _listed(text: str | None) -> tuple[str, ...] | None:
     return tuple(name.strip() for name in text.split(",") if name.strip())
 
 
-def _show(found: ControlDesign) -> None:
-    for table in analysis_tables(found.axes):
+def _show(designed: ControlDesign) -> None:
+    for table in analysis_tables(designed.axes):
         print_table(table.title, table.header, table.rows)
-    for one in found.controllers:
-        delay = found.delay_s(one)
-        late = f"; it delays the motion by {1e3 * delay:g} ms" if delay else ""
+    for controller in designed.controllers:
+        delay = designed.delay_s(controller)
+        delay_text = f"; it delays the motion by {1e3 * delay:g} ms" if delay else ""
         say(
-            f"axes {', '.join(one.axes)}: {len(one.A)} states, from {', '.join(one.sensors)} to "
-            f"{', '.join(one.drives)}{late}"
+            f"axes {', '.join(controller.axes)}: {len(controller.A)} states, from "
+            f"{', '.join(controller.sensors)} to {', '.join(controller.drives)}{delay_text}"
         )
-    for analysis in found.axes.values():
+    for analysis in designed.axes.values():
         say(analysis.verdict())
-    say(f"Wrote {found.file}")
+    say(f"Wrote {designed.file}")
 
 
 def register(app: typer.Typer) -> None:

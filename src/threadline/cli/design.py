@@ -154,15 +154,15 @@ def design(
             written = write_design(result, result.found, output)
         page = None if report is None else write_design_report(result, report)
     as_typed = words.typed(spec=None, feed_forward=False, smoothing=None)
-    again = _again(job_file, written, result, {**as_typed, **level_option(trials)})
+    prove_command = _prove_command(job_file, written, result, {**as_typed, **level_option(trials)})
     if json:
-        print_json(_content(result, [str(p) for p in written], page) | {"command": again})
+        print_json(_content(result, [str(p) for p in written], page) | {"command": prove_command})
     else:
         _show(result)
         for path in written:
             say(f"Wrote {path}")
         if result.found is not None:
-            say(f"To prove it: {again or 'write the machine with -o FILE.toml first'}")
+            say(f"To prove it: {prove_command or 'write the machine with -o FILE.toml first'}")
         if page is not None:
             say(f"Report: {page}")
     raise typer.Exit(0 if result.found is not None else 1)
@@ -175,8 +175,8 @@ def _part(seeking: Seeking, report: Path | None) -> Part | None:
     if seeking.merge:
         raise OptionError("--part and --merge exclude each other", remedy="Give one of them.")
     part = parse_part(seeking.part)
-    whole = {"--plot": seeking.plot, "--report": report}
-    check_part_options(seeking.output, whole, "redesign", "searches")
+    whole_only = {"--plot": seeking.plot, "--report": report}
+    check_part_options(seeking.output, whole_only, "redesign", "searches")
     return part
 
 
@@ -193,8 +193,8 @@ def _asked(
     )
     if seeking.merge:
         return design_of_parts(files, machine, words, aims)
-    here = question_from_words(files, machine, words)
-    return DesignRequest(job=here.job, machine=here.machine, words=words, aims=aims)
+    question = question_from_words(files, machine, words)
+    return DesignRequest(job=question.job, machine=question.machine, words=words, aims=aims)
 
 
 def _check_output(
@@ -215,17 +215,17 @@ def _check_output(
         keep_inputs(file, *inputs)
 
 
-def _again(
+def _prove_command(
     job: Path, written: list[Path], result: DesignResult, words: Mapping[str, str | Path | None]
 ) -> str | None:
     """Return the command that proves the written design; None if none was found or written."""
     if result.found is None or not written:
         return None
     smoothing_s = result.found.candidate.smoothing_s
-    ahead = {}
+    feed_forward = {}
     if smoothing_s is not None:
-        ahead = {"--feed-forward": "", "--smoothing": f"{typed(smoothing_s * 1e3)} ms"}
-    return command_line("prove", job, {"-m": written[0], **words, **ahead})
+        feed_forward = {"--feed-forward": "", "--smoothing": f"{typed(smoothing_s * 1e3)} ms"}
+    return command_line("prove", job, {"-m": written[0], **words, **feed_forward})
 
 
 def _show(result: DesignResult) -> None:

@@ -73,9 +73,11 @@ def design_of_parts(
     check_merge_options(machine, words, given)
     parts = read_design_parts(files)
     record = parts[0].record
-    job, named, own = recorded_words("design", record.words, parts[0].path)
-    joined = replace(aims, corners=record.corners, front=record.front, searches=record.searches)
-    return DesignRequest(job=job, machine=named, words=own, aims=joined, parts=parts)
+    job, machine_name, part_words = recorded_words("design", record.words, parts[0].path)
+    part_aims = replace(aims, corners=record.corners, front=record.front, searches=record.searches)
+    return DesignRequest(
+        job=job, machine=machine_name, words=part_words, aims=part_aims, parts=parts
+    )
 
 
 def make_part(
@@ -99,8 +101,8 @@ def make_part(
         searches=request.aims.searches,
         part=part,
     )
-    found = question.searched(searches_of(part, request.aims.searches), progress)
-    write_design_part(output, record, found)
+    searches = question.searched(searches_of(part, request.aims.searches), progress)
+    write_design_part(output, record, searches)
     return record
 
 
@@ -137,7 +139,7 @@ def merged_design(
     """
     question = redesign(wanted.job, wanted.machine, wanted.spec, wanted.options, wanted.wanted)
     identity = design_identity(question)
-    for one in parts:
-        here = replace(one.record, identity=identity)
-        one.record.check_same(one.path, here, "this Threadline and the files here")
-    return question.answer([search for one in parts for search in one.searches], progress)
+    for part in parts:
+        present_record = replace(part.record, identity=identity)
+        part.record.check_same(part.path, present_record, "this Threadline and the files here")
+    return question.answer([search for part in parts for search in part.searches], progress)

@@ -67,31 +67,31 @@ def equal_(
     with progress_bar(not json) as progress:
         progress(PLANNING_STAGE, 0.0)
         plan = plan_job(open_job(job, chosen, options), chosen, options)
-        found = equal_targets(plan, options, question, progress)
+        equality = equal_targets(plan, options, question, progress)
     written = None
     if report is not None:
         typed = {"-m": machine, **words.typed("equal"), "--targets": targets}
         files = [word for one in file or () for word in ("--file", one)]
-        again = command_line("equal", job, typed | {"--slower": "" if slower else None})
-        written = write_equality(found, report, shlex.join([*shlex.split(again), *files]))
-    forbidden = found.missing if os.environ.get("CI") == "true" else {}
+        command = command_line("equal", job, typed | {"--slower": "" if slower else None})
+        written = write_equality(equality, report, shlex.join([*shlex.split(command), *files]))
+    forbidden = equality.missing if os.environ.get("CI") == "true" else {}
     if json:
-        content = found.content()
+        content = equality.content()
         if written is not None:
             content["report"] = str(written)
         print_json(content)
     else:
         title = f"{plan.job.name} on {plan.machine.name}, {plan.duration_s:.4g} s"
-        print_table(title, HEADER, [one.row() for one in found.targets])
-        for one in found.targets:
+        print_table(title, HEADER, [one.row() for one in equality.targets])
+        for one in equality.targets:
             if one.remark:
                 say(f"{one.target}: {one.remark}")
-        say(found.closing())
+        say(equality.closing())
         if written is not None:
             say(f"Report: {written}")
     for target, why in forbidden.items():
         warning(f"{target}: {why}; CI=true does not allow that")
-    raise typer.Exit(0 if found.passed and not forbidden else 1)
+    raise typer.Exit(0 if equality.passed and not forbidden else 1)
 
 
 def register(app: typer.Typer) -> None:

@@ -83,29 +83,37 @@ def fastest(
     tell(output.warnings())
     page = None if report is None else output.report(report)
     written = None if out is None else write_move_list(found, out)
-    again = None
+    command = None
     if written is not None or found.again is not None:
         typed = words.typed(robust=question.words.get("robust")) | {"--interpolation": None}
         if output.on_ticks and words.text("law") is None:
             typed["--interpolation"] = question.options.interpolation
-        best = as_typed(found.words or {}) if written is None else {}
-        options = {"-m": machine, **typed, **best, **level_option(question.trials)}
+        best_words = as_typed(found.words or {}) if written is None else {}
+        options = {"-m": machine, **typed, **best_words, **level_option(question.trials)}
         if question.learned is None:
-            again = command_line("prove", written or job, options)
+            command = command_line("prove", written or job, options)
             dialect = question.machine.programs.dialect
             if question.options.interpolation == FIRMWARE and dialect in TICK_TARGETS:
-                to = {"--target": dialect, "-o": f"faster-{job.name}"}
-                rest = {"-m": machine, **typed, "--interpolation": None, **best, **to}
-                output.faster = command_line("compile", job, rest)
-                output.as_found = command_line("compile", job, rest | {"--interpolation": FIRMWARE})
+                output_options = {"--target": dialect, "-o": f"faster-{job.name}"}
+                compile_options = {
+                    "-m": machine,
+                    **typed,
+                    "--interpolation": None,
+                    **best_words,
+                    **output_options,
+                }
+                output.faster = command_line("compile", job, compile_options)
+                output.as_found = command_line(
+                    "compile", job, compile_options | {"--interpolation": FIRMWARE}
+                )
         else:
             options["--repeats"] = str(question.learned)
-            again = command_line("learn", job, options)
+            command = command_line("learn", job, options)
     if json:
-        extra = {"command": again} | ({} if page is None else {"report": str(page)})
+        extra = {"command": command} | ({} if page is None else {"report": str(page)})
         print_json(output.content() | extra)
     else:
-        output.show(again, page)
+        output.show(command, page)
     raise typer.Exit(0 if found.passed else 1)
 
 

@@ -62,16 +62,16 @@ def robust_lines(robust: RobustCycle) -> Iterator[Printed | str]:
         f"{axis} {low:.2f} to {high:.2f} Hz" for axis, (low, high) in robust.frequencies_hz.items()
     )
     worst = max(robust.over, key=lambda run: run.worst_m)
-    over = (
+    over_text = (
         f"residual vibration at most {worst.worst_m * 1e3:.4g} mm on {len(robust.over)} machines, "
         f"one run each, with modes of {modes}; largest at {worst.relative * 100:+.3g} %"
     )
     if robust.job is None:
-        yield f"no cycle in spec over the whole band was found ({robust.tried} tried): {over}"
+        yield f"no cycle in spec over the whole band was found ({robust.tried} tried): {over_text}"
         return
     yield (
         f"fastest for the band: a cycle of {cycle_s(robust.proof):.3f} s"
-        f"{_produced(robust.proof)}, {robust.tried} cycles tried on the twin; {over}"
+        f"{_produced(robust.proof)}, {robust.tried} cycles tried on the twin; {over_text}"
     )
     yield "verdict for the nominal machine", *verdict_rows(robust.proof.verdict)
     yield closing(robust.proof.verdict)
@@ -161,9 +161,9 @@ class CycleOutput(SearchOutput):
         for move in found.moves:
             if " for " in move.how:
                 yield f"{move.step}, {move.axis}: {move.how}"
-        beside = found.unshaped.verdict
+        unshaped_verdict = found.unshaped.verdict
         unshaped = f"unshaped it takes {cycle_s(found.unshaped):.3f} s and is " + (
-            f"{'in spec' if beside.passed else 'out of spec'} ({beside.level})"
+            f"{'in spec' if unshaped_verdict.passed else 'out of spec'} ({unshaped_verdict.level})"
         )
         saved_s = cycle_s(found.unshaped) - cycle_s(found.base)
         if saved_s > 0.0:
@@ -172,10 +172,10 @@ class CycleOutput(SearchOutput):
         if found.cycle_s is None:
             yield f"no cycle in spec was found ({found.tried} tried): {limits} fails; {unshaped}"
             return
-        before = "" if found.limited_by == RANGE else f" (a faster one fails {limits})"
+        failing_text = "" if found.limited_by == RANGE else f" (a faster one fails {limits})"
         yield (
             f"fastest: a cycle of {found.cycle_s:.3f} s{_produced(found.proof)}; {found.tried} "
-            f"cycles tried on the twin{before}; {unshaped}"
+            f"cycles tried on the twin{failing_text}; {unshaped}"
         )
 
     def _more(self) -> Iterator[Printed | str]:
@@ -236,10 +236,10 @@ def write_move_list(found: Answer, file: Path) -> Path | None:
     job = found.of.job if robust is None else robust.job
     if job is None:
         return None
-    over = "" if question.band is None else f" for modes within {question.band * 100:g} %"
+    band_text = "" if question.band is None else f" for modes within {question.band * 100:g} %"
     text = (
         f"# The shortest cycle of {question.file.name} in spec on {question.machine.name}"
-        f"{over}, by threadline fastest.\n{move_list(job, question.machine)}"
+        f"{band_text}, by threadline fastest.\n{move_list(job, question.machine)}"
     )
     with staged_file(file) as stream:
         stream.write(text.encode())

@@ -51,18 +51,18 @@ class OptimalOutput(SearchOutput):
             if rung.duration_s is None or rung.duration_s >= best_s or rung.options is None:
                 continue
             best_s = rung.duration_s
-            one = rung.options
+            options = rung.options
             shares = [share_words(rung.share)] if shares_differ else []
             rows.append(
                 [
                     f"{best_s:.3f}",
                     *shares,
-                    typed(round(one.tolerance_m * 1e3, 6)),
-                    typed(round(one.outside_m * 1e3, 6)),
-                    str(len(one.narrow)),
-                    "" if one.reserve is None else reserve_words(one.reserve),
-                    "" if one.feed_forward_s is None else typed(one.feed_forward_s * 1e3),
-                    typed(round(one.allowance_m * 1e3, 6)),
+                    typed(round(options.tolerance_m * 1e3, 6)),
+                    typed(round(options.outside_m * 1e3, 6)),
+                    str(len(options.narrow)),
+                    "" if options.reserve is None else reserve_words(options.reserve),
+                    "" if options.feed_forward_s is None else typed(options.feed_forward_s * 1e3),
+                    typed(round(options.allowance_m * 1e3, 6)),
                 ]
             )
         header = [
@@ -95,9 +95,9 @@ class OptimalOutput(SearchOutput):
         if any(rung.alone for rung in self.of.rungs):
             yield "alone: the plan for an allowance smaller by half a percent is out of spec"
         for bound in self.of.bounds:
-            over = best.duration_s / bound.duration_s - 1.0
-            least = f"{bound.duration_s:.3f} s ({over:+.0%})"
-            yield f"within the limits of {bound.within} alone: {least}"
+            excess = best.duration_s / bound.duration_s - 1.0
+            bound_text = f"{bound.duration_s:.3f} s ({excess:+.0%})"
+            yield f"within the limits of {bound.within} alone: {bound_text}"
 
     def _after(self) -> Iterator[str]:
         yield from () if self._bound is None else binding_lines(self._bound)
@@ -138,12 +138,14 @@ def _choices(options: Options | None) -> dict[str, Any]:
     """Return the choices of a plan, where all of them were searched."""
     if options is None:
         return {}
-    kept = options.reserve
+    reserve = options.reserve
     return {
         "tolerance_m": options.tolerance_m,
         "outside_m": options.outside_m,
         "narrow_m": {str(line): width for line, width in options.narrow},
-        "reserve": None if kept is None else {"volts": kept.volts, "current": kept.current},
+        "reserve": None
+        if reserve is None
+        else {"volts": reserve.volts, "current": reserve.current},
         "feed_forward_s": options.feed_forward_s,
     }
 

@@ -130,14 +130,14 @@ class SearchOutput(ABC):
             "verdict": verdict_content(found.verdict),
             **self._details(),
         }
-        sure = found.certainty
-        if sure is not None:
+        certainty = found.certainty
+        if certainty is not None:
             content["certainty"] = {
-                "machines": sure.machines,
-                "best": sure.sure,
-                "alone": sure.alone,
-                "unit": sure.unit,
-                "slower": sure.share,
+                "machines": certainty.machines,
+                "best": certainty.sure,
+                "alone": certainty.alone,
+                "unit": certainty.unit,
+                "slower": certainty.share,
             }
         if found.mismatch:
             content["mismatch"] = [
@@ -158,8 +158,8 @@ class SearchOutput(ABC):
         for line in until_words(self.ended):
             say(line)
         show([self._table(), *self._lines()])
-        at = "at the fastest" if found.best is not None else "where the search came closest"
-        print_table(f"verdict {at}", *verdict_rows(found.verdict))
+        place_text = "at the fastest" if found.best is not None else "where the search came closest"
+        print_table(f"verdict {place_text}", *verdict_rows(found.verdict))
         say(closing(found.verdict))
         show(self._more())
         if found.certainty is not None:
@@ -245,8 +245,8 @@ class FeedOutput(SearchOutput):
                 )
         header = ["acceleration limits used", f"from {unit}", f"to {unit}", "job s", "limited by"]
         options = self.question.options
-        ahead = ", feed-forward" if options.following is Following.LOAD else ""
-        how = f"{self.how}, {options.interpolation}{ahead}{margin_words(self.question.margin)}"
+        following = ", feed-forward" if options.following is Following.LOAD else ""
+        how = f"{self.how}, {options.interpolation}{following}{margin_words(self.question.margin)}"
         return f"{how}: feeds in spec", header, merged(rows)
 
     @property
@@ -257,8 +257,8 @@ class FeedOutput(SearchOutput):
         best, tried, (unit, per_m_s) = self.of.best, self.found.tried, _UNITS[self.of.by]
         yield from self._judged()
         if best.found.best is None:
-            forbids = joined(one for rung in self.of.rungs for one in rung.found.forbidden)
-            why, *more = forbidden_words(forbids, best.found.limited_by, self._feed_text)
+            forbidding = joined(one for rung in self.of.rungs for one in rung.found.forbidden)
+            why, *more = forbidden_words(forbidding, best.found.limited_by, self._feed_text)
             yield from (f"no feed is in spec ({tried} tried): {why}", *more)
             if best.found.fixed:
                 yield (

@@ -68,9 +68,9 @@ def fit_numbers(
     elif job is not None:
         raise OptionError("--job needs the fitted machine as a file", remedy="Add -o FILE.toml.")
     check_outputs(file=output)
-    opened = [open_data(text, machine, axis or "") for text in data]
-    result = fit(chosen, opened, names)
-    source = ", ".join(one.name for one in opened)
+    data_sets = [open_data(text, machine, axis or "") for text in data]
+    result = fit(chosen, data_sets, names)
+    source = ", ".join(one.name for one in data_sets)
     if output is not None:
         write_fitted(result, source, output)
     if not json:
@@ -100,16 +100,16 @@ def _worth(job: Path, machine: str, fitted: Path) -> dict[str, Any]:
 def _show(result: Fit, source: str) -> None:
     rows = []
     for number in result.numbers:
-        before = number.value / number.quantity.si
-        curve = "-" if number.profile is None else _ends(number.profile, number.value)
+        times_guess = number.value / number.quantity.si
+        profile_text = "-" if number.profile is None else _ends(number.profile, number.value)
         rows.append(
             [
                 number.name,
                 quantity_text(number, source).partition(",")[0],
-                f"{before:.4g}",
+                f"{times_guess:.4g}",
                 f"{100.0 * number.deviation:.2g} %",
                 f"{100.0 * number.least_deviation:.2g} %",
-                curve,
+                profile_text,
             ]
         )
     header = ["number", "value, 95 %", "times guess", "deviation", "least possible", "profile"]
@@ -131,7 +131,7 @@ def _ends(ends: tuple[float, float], value: float) -> str:
 
 
 def _content(result: Fit, source: str, output: Path | None) -> dict[str, Any]:
-    found: dict[str, Any] = {
+    content: dict[str, Any] = {
         "machine": result.machine.name,
         "data": source,
         "numbers": {
@@ -153,8 +153,8 @@ def _content(result: Fit, source: str, output: Path | None) -> dict[str, Any]:
         "unexplained": list(result.unexplained),
     }
     if output is not None:
-        found["written"] = str(output)
-    return found
+        content["written"] = str(output)
+    return content
 
 
 def register(app: typer.Typer) -> None:

@@ -106,10 +106,12 @@ def settings_of(kind: str, source: Path) -> Settings:
     if settings.firmware == "grbl" and firmware == "fluidnc":  # FluidNC answers $$ as grbl does
         return replace(settings, firmware="fluidnc")
     if settings.firmware != firmware:
-        own = next(name for name, of in FIRMWARES.items() if of == settings.firmware)
+        own_kind = next(
+            name for name, firmware_name in FIRMWARES.items() if firmware_name == settings.firmware
+        )
         raise OptionError(
             f"{Place(str(source))} has the settings of {settings.firmware}, not of {firmware}",
-            remedy=f"Make it with: threadline new {own}.",
+            remedy=f"Make it with: threadline new {own_kind}.",
         )
     return settings
 
@@ -118,10 +120,10 @@ def still_missing(
     settings: Settings, answers: Sequence[str], *, limits_only: bool
 ) -> list[Missing]:
     """Return the values that the owner still has to give."""
-    said = parse_answers(answers)
-    if limits_only or not names_dynamics(said):
-        _assume_steps(settings, said)
-    return missing_answers(settings, said, limits_only=limits_only)
+    given_answers = parse_answers(answers)
+    if limits_only or not names_dynamics(given_answers):
+        _assume_steps(settings, given_answers)
+    return missing_answers(settings, given_answers, limits_only=limits_only)
 
 
 def settings_files(
@@ -149,35 +151,39 @@ def settings_files(
         If the settings come from another controller, or a value is still missing.
     """
     settings = settings_of(kind, source)
-    said = parse_answers(answers)
-    unasked = not limits_only and not names_dynamics(said)
-    limits_only |= unasked
+    given_answers = parse_answers(answers)
+    no_dynamics = not limits_only and not names_dynamics(given_answers)
+    limits_only |= no_dynamics
     if limits_only:
-        _assume_steps(settings, said)
-    text = machine_text(settings, said, kind, limits_only=limits_only)
+        _assume_steps(settings, given_answers)
+    text = machine_text(settings, given_answers, kind, limits_only=limits_only)
     _check(text, settings)
     for unheeded in settings.unheeded:
         warning(unheeded)
     head = f"# From the settings of {settings.firmware}, by Threadline {__version__}.\n#\n"
     projects = resources.files("threadline.cli") / "projects"
-    own = projects / ("limits" if limits_only else "firmware")
+    project = projects / ("limits" if limits_only else "firmware")
     if limits_only:
-        specification = (own / "spec.toml").read_text(encoding="utf-8")
+        specification = (project / "spec.toml").read_text(encoding="utf-8")
     else:
-        theirs = library_file(_SPEC).with_suffix(".spec.toml")
-        specification = theirs.read_text(encoding="utf-8")
-    readme = (own / "README.md").read_text(encoding="utf-8")
+        library_spec = library_file(_SPEC).with_suffix(".spec.toml")
+        specification = library_spec.read_text(encoding="utf-8")
+    readme = (project / "README.md").read_text(encoding="utf-8")
     contents = {
         "machine.toml": (head + text).encode(),
         "spec.toml": specification.replace(f'"{_SPEC}"', f'"{kind}"').encode(),
         "README.md": readme.replace("TARGET", settings.firmware).encode(),
-        "there-and-back.gcode": _job(settings, turning_axes(settings, said)).encode(),
+        "there-and-back.gcode": _job(settings, turning_axes(settings, given_answers)).encode(),
     }
-    rows = list(_rows(settings, said))
+    rows = list(_rows(settings, given_answers))
     if not limits_only:
-        rows += [(key, text, "assumed") for key, text in DEFAULTS.items() if key not in said.given]
+        rows += [
+            (key, text, "assumed")
+            for key, text in DEFAULTS.items()
+            if key not in given_answers.given
+        ]
     form = settings.form or settings.firmware
-    notes = [*settings.notes, *([_ALONE] if unasked else [])]
+    notes = [*settings.notes, *([_ALONE] if no_dynamics else [])]
     return FromSettings(contents, form, rows, notes, settings.unheeded)
 
 
@@ -188,10 +194,12 @@ def _assume_steps(settings: Settings, answers: Answers) -> None:
     """
     if settings.firmware != "linuxcnc":
         return
-    for axis, said in settings.axes.items():
-        own = answers.given.get(f"steps.{axis}")
-        own = own if settings.turning.get(axis, False) else answers.of("steps", axis)
-        if said.steps is None and own is None:
+    for axis, axis_settings in settings.axes.items():
+        given_steps = answers.given.get(f"steps.{axis}")
+        given_steps = (
+            given_steps if settings.turning.get(axis, False) else answers.of("steps", axis)
+        )
+        if axis_settings.steps is None and given_steps is None:
             name = "the INI has no scale; times do not depend on it"
             settings.say(axis, "steps", _ANY_STEPS, Place(settings.file), name)
 
@@ -204,16 +212,16 @@ def read_rows(settings: Settings) -> list[Row]:
 def _rows(settings: Settings, answers: Answers) -> Iterator[Row]:
     """Yield the settings of each axis and of the planner, read or given."""
     turning = turning_axes(settings, answers)
-    for axis, said in settings.axes.items():
+    for axis, axis_settings in settings.axes.items():
         unit = "deg" if axis in turning else "mm"
-        for what, form in _UNITS.items():
-            found: SettingValue | None = getattr(said, what)
-            if what == "travel" and axis in turning:
-                yield f"{axis} {what}", "none", "it turns without end"
+        for quantity, form in _UNITS.items():
+            found: SettingValue | None = getattr(axis_settings, quantity)
+            if quantity == "travel" and axis in turning:
+                yield f"{axis} {quantity}", "none", "it turns without end"
             elif found is not None:
-                yield f"{axis} {what}", f"{found.value:g} {form.format(unit)}", _from(found)
-            elif (own := answers.of(what, axis)) is not None:
-                yield f"{axis} {what}", own, "--set"
+                yield f"{axis} {quantity}", f"{found.value:g} {form.format(unit)}", _from(found)
+            elif (given_text := answers.of(quantity, axis)) is not None:
+                yield f"{axis} {quantity}", given_text, "--set"
     for key, found in settings.planner.items():
         base, _, axis = key.partition(".")
         if axis and axis not in settings.axes:
@@ -227,11 +235,11 @@ def _rows(settings: Settings, answers: Answers) -> Iterator[Row]:
             yield name, text, "--set"
 
 
-def _from(said: SettingValue) -> str:
-    if not said.place.line:
-        return f"assumed: {said.name}"
-    typed = "" if number_or_nan(said.typed) == said.value else f" {said.typed}"
-    return f"{said.name}{typed}, {said.place}"
+def _from(value: SettingValue) -> str:
+    if not value.place.line:
+        return f"assumed: {value.name}"
+    typed_text = "" if number_or_nan(value.typed) == value.value else f" {value.typed}"
+    return f"{value.name}{typed_text}, {value.place}"
 
 
 def _check(text: str, settings: Settings) -> None:
@@ -246,8 +254,10 @@ def _check(text: str, settings: Settings) -> None:
             load_machine(file)
         except MachineError as error:
             lines = text.splitlines()
-            at = error.place.line if error.place is not None else 0
-            quoted = f" ({lines[at - 1].strip()[:80]})" if 0 < at <= len(lines) else ""
+            line_number = error.place.line if error.place is not None else 0
+            quoted = (
+                f" ({lines[line_number - 1].strip()[:80]})" if 0 < line_number <= len(lines) else ""
+            )
             raise MachineError(
                 f"{error.message.rstrip('.')}{quoted}",
                 place=Place(settings.file),
@@ -257,12 +267,18 @@ def _check(text: str, settings: Settings) -> None:
 
 def _job(settings: Settings, rotary: str) -> str:
     """Return a short job: one axis there and back, at a feed within its limit."""
-    straight = [axis for axis in settings.axes if axis not in rotary]
-    axis = (straight or list(settings.axes))[0]
-    said = settings.axes[axis]
-    way = _WAY_MM if said.travel is None else min(_WAY_MM, said.travel.value / 2.0)
-    feed = _FEED_MM_MIN if said.rate is None else min(_FEED_MM_MIN, said.rate.value / 2.0)
-    lines = ["; There and back", "G21", "G90", f"G1 {axis}{way:g} F{feed:g}", f"G1 {axis}0"]
+    linear = [axis for axis in settings.axes if axis not in rotary]
+    axis = (linear or list(settings.axes))[0]
+    axis_settings = settings.axes[axis]
+    distance_mm = (
+        _WAY_MM if axis_settings.travel is None else min(_WAY_MM, axis_settings.travel.value / 2.0)
+    )
+    feed = (
+        _FEED_MM_MIN
+        if axis_settings.rate is None
+        else min(_FEED_MM_MIN, axis_settings.rate.value / 2.0)
+    )
+    lines = ["; There and back", "G21", "G90", f"G1 {axis}{distance_mm:g} F{feed:g}", f"G1 {axis}0"]
     if settings.firmware == "linuxcnc":
         lines.append("M2")
     return "\n".join(lines) + "\n"

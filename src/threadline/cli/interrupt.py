@@ -97,8 +97,8 @@ class Termination:
             Whether files were written before it: they are complete and stay.
         """
         _line_written.acquire(blocking=False)
-        status, said = _ENDS[self.number]
-        return status, said.replace(_NOTHING, _WHOLE) if wrote else said
+        status, message = _ENDS[self.number]
+        return status, message.replace(_NOTHING, _WHOLE) if wrote else message
 
 
 @contextmanager
@@ -122,20 +122,20 @@ def terminating() -> Iterator[Termination]:
     termination = Termination()
     if _line_written.locked():  # by an earlier command in this process
         _line_written.release()
-    dropped = sys.unraisablehook
+    previous_hook = sys.unraisablehook
 
-    def repeated(what: UnraisableHookArgs) -> None:
-        if issubclass(what.exc_type, KeyboardInterrupt):
+    def repeated(dropped_error: UnraisableHookArgs) -> None:
+        if issubclass(dropped_error.exc_type, KeyboardInterrupt):
             termination.repeat()
         else:
-            dropped(what)
+            previous_hook(dropped_error)
 
     with _answering(dict.fromkeys(_ENDS, termination.answer)):
         sys.unraisablehook = repeated
         try:
             yield termination
         finally:
-            sys.unraisablehook = dropped
+            sys.unraisablehook = previous_hook
             termination.over()
 
 
@@ -145,7 +145,7 @@ def _answering(answers: dict[signal.Signals, _Answer]) -> Iterator[None]:
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    before = {
+    previous_handlers = {
         number: signal.signal(number, answer)
         for number, answer in answers.items()
         if signal.getsignal(number) is not signal.SIG_IGN
@@ -153,15 +153,15 @@ def _answering(answers: dict[signal.Signals, _Answer]) -> Iterator[None]:
     try:
         yield
     finally:
-        for number, handler in before.items():
+        for number, handler in previous_handlers.items():
             signal.signal(number, handler)
 
 
 def _leave(number: int, _frame: FrameType | None) -> None:
     if not _line_written.acquire(blocking=False):  # an earlier signal is being answered
         return
-    status, said = _ENDS[signal.Signals(number)]
-    os.write(_STDERR, said.encode())
+    status, message = _ENDS[signal.Signals(number)]
+    os.write(_STDERR, message.encode())
     os._exit(status)
 
 
@@ -180,10 +180,10 @@ def keep_traceback(error: Exception, given: Sequence[str]) -> str:
     given
         The arguments of the command.
     """
-    where = traceback.extract_tb(error.__traceback__)
-    at = f" at {Path(where[-1].filename).name}:{where[-1].lineno}" if where else ""
-    said = " ".join(str(error).split())[:_SHOWN]
-    what = f"{type(error).__name__}{at}{f': {said}' if said else ''}"
+    frames = traceback.extract_tb(error.__traceback__)
+    location = f" at {Path(frames[-1].filename).name}:{frames[-1].lineno}" if frames else ""
+    error_text = " ".join(str(error).split())[:_SHOWN]
+    defect = f"{type(error).__name__}{location}{f': {error_text}' if error_text else ''}"
     text = "\n".join(
         [
             f"threadline {__version__}, Python {platform.python_version()}, {platform.platform()}",
@@ -202,7 +202,7 @@ def keep_traceback(error: Exception, given: Sequence[str]) -> str:
             errors="backslashreplace",
         ) as file:
             file.write(text)
-        kept = f"Please report it with the file {file.name}, which has the traceback."
+        report_request = f"Please report it with the file {file.name}, which has the traceback."
     except OSError as failure:
-        kept = f"Its traceback could not be kept: {failure.strerror or failure}."
-    return f"[DEFECT] this is a defect of the program, not of the input: {what}. {kept}"
+        report_request = f"Its traceback could not be kept: {failure.strerror or failure}."
+    return f"[DEFECT] this is a defect of the program, not of the input: {defect}. {report_request}"

@@ -84,7 +84,7 @@ def law(
     """
     check_outputs(file=out, folder=report)
     laws = list(LAWS.values()) if name is None else [_called(name)]
-    of_a_mode = {
+    mode_options = {
         "--move": move, "--time": time, "--residual": residual, "--limit": limit, "--jerk": jerk,
         "--band": band,
     }  # fmt: skip
@@ -97,7 +97,7 @@ def law(
         )  # fmt: skip
         study(laws, asked, out=out, report=report, json=json)
         return
-    for option, given in of_a_mode.items():
+    for option, given in mode_options.items():
         if given is not None:
             raise OptionError(f"{option} needs a mode", remedy='Add --mode "12 Hz".')
     if out is not None and name is None:

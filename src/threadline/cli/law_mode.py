@@ -108,35 +108,39 @@ def study(
     move_m = parse_number("--move", asked.move, "m", "16.5 mm")
     window_s = parse_number("--time", asked.time, "s", "120 ms")
     mass_kg = parse_number("--mass", asked.mass, "kg", "1000 kg")
-    still = None
+    limit_m = None
     if asked.residual is not None:
-        still = parse_number("--residual", asked.residual, "m", "0.05 mm")
-    most = None
+        limit_m = parse_number("--residual", asked.residual, "m", "0.05 mm")
+    most_m_s2 = None
     if asked.limit is not None:
-        most = parse_number("--limit", asked.limit, "m/s^2", "6.33 m/s^2")
-    for option, typed, value, like in (
+        most_m_s2 = parse_number("--limit", asked.limit, "m/s^2", "6.33 m/s^2")
+    for option, typed, value, example in (
         ("--move", asked.move, move_m, "16.5 mm"),
         ("--time", asked.time, window_s, "120 ms"),
         ("--mass", asked.mass, mass_kg, "1000 kg"),
-        ("--residual", asked.residual, still, "0.05 mm"),
-        ("--limit", asked.limit, most, "6.33 m/s^2"),
+        ("--residual", asked.residual, limit_m, "0.05 mm"),
+        ("--limit", asked.limit, most_m_s2, "6.33 m/s^2"),
     ):
         if value is not None and not 0.0 < value < np.inf:
             raise OptionError(
                 f"{option} {typed!r} must be greater than 0, and finite",
-                remedy=f'Write it like {option} "{like}".',
+                remedy=f'Write it like {option} "{example}".',
             )
     motion = _Move(
-        mode=flexible, length_m=move_m, window_s=window_s, mass_kg=mass_kg, residual_m=still
+        mode=flexible,
+        length_m=move_m,
+        window_s=window_s,
+        mass_kg=mass_kg,
+        residual_m=limit_m,
     )
-    demand = _demand(flexible, move_m, still, most, asked.jerk, asked.band, out)
+    demand = _demand(flexible, move_m, limit_m, most_m_s2, asked.jerk, asked.band, out)
     made, shaped = None, []
     with progress_bar(not json) as progress:
-        found = sorted(
+        ranked = sorted(
             (
                 ringing(
-                    each, flexible, move_m, window_s, residual=still,
-                    acceleration=np.inf if most is None else most,
+                    each, flexible, move_m, window_s, residual=limit_m,
+                    acceleration=np.inf if most_m_s2 is None else most_m_s2,
                 )
                 for each in laws
             ),
@@ -145,19 +149,19 @@ def study(
         if demand is not None:
             made = made_law(demand, progress)
             shaped = shaped_windows(LAWS[COPIED], demand)
-    tables = [_ranking(found, motion, limited=most is not None)]
+    tables = [_ranking(ranked, motion, limited=most_m_s2 is not None)]
     warnings: list[str] = []
     if made is not None:
-        tables += [_made_table(made, shaped, found), _outside_table(made)]
+        tables += [_made_table(made, shaped, ranked), _outside_table(made)]
         warnings.append(_notch(made))
     written = None
     with together(out):
         if report is not None:
-            written = _report(report, found, laws, made, motion, tables, warnings)
+            written = _report(report, ranked, laws, made, motion, tables, warnings)
         if out is not None and made is not None:
             write_law(made.law, out)
     if json:
-        print_json(_content(found, motion, made, shaped, written))
+        print_json(_content(ranked, motion, made, shaped, written))
         return
     for text in warnings:
         warning(text)
@@ -192,63 +196,63 @@ def _report(
     """Write the report on the best laws, ``COPIED`` and the made law; return its page."""
     from threadline.report.laws import Curve, ResidualPlot, write_laws
 
-    drawn = [Curve(one.law, move.window_s) for one in found[:_DRAWN]]
-    if all(one.law.name != COPIED for one in drawn) and len(laws) > 1:
-        drawn[-1] = Curve(LAWS[COPIED], move.window_s)
+    curves = [Curve(ringing_law.law, move.window_s) for ringing_law in found[:_DRAWN]]
+    if all(ringing_law.law.name != COPIED for ringing_law in curves) and len(laws) > 1:
+        curves[-1] = Curve(LAWS[COPIED], move.window_s)
     if made is not None:
-        drawn.insert(0, Curve(made.law, made.window_s))
+        curves.insert(0, Curve(made.law, made.window_s))
     residual = ResidualPlot(
-        curves=drawn,
+        curves=curves,
         mode=move.mode,
         move_m=move.length_m,
         limit_m=move.residual_m,
         band=None if made is None else made.demand.band,
     )
-    return write_laws([curve.law for curve in drawn], tables, warnings, folder, residual=residual)
+    return write_laws([curve.law for curve in curves], tables, warnings, folder, residual=residual)
 
 
 def _demand(
-    mode: FlexibleMode, move_m: float, still: float | None, most: float | None, jerk: str | None,
-    band: float | None, out: Path | None,
+    mode: FlexibleMode, move_m: float, limit_m: float | None, most_m_s2: float | None,
+    jerk: str | None, band: float | None, out: Path | None,
 ) -> Demand | None:  # fmt: skip
     """Return the demand on the law to be made; None if no law is to be made."""
-    if most is not None and still is None:
+    if most_m_s2 is not None and limit_m is None:
         raise OptionError("--limit makes a law", remedy='Add --residual "0.05 mm", too.')
     for option, given in (("--jerk", jerk), ("--band", band), ("--out", out)):
-        if given is not None and most is None:
+        if given is not None and most_m_s2 is None:
             raise OptionError(f"{option} needs a law to be made", remedy="Add --limit, too.")
-    if most is None or still is None:
+    if most_m_s2 is None or limit_m is None:
         return None
     return Demand(
-        mode=mode, band=_BAND if band is None else band, move_m=move_m, residual_m=still,
-        acceleration_m_s2=most,
-        jerk_m_s3=usual_jerk_m_s3(move_m, most)
+        mode=mode, band=_BAND if band is None else band, move_m=move_m, residual_m=limit_m,
+        acceleration_m_s2=most_m_s2,
+        jerk_m_s3=usual_jerk_m_s3(move_m, most_m_s2)
         if jerk is None
         else parse_number("--jerk", jerk, "m/s^3", "663 m/s^3"),
     )  # fmt: skip
 
 
 def _ranking(found: Sequence[Ringing], move: _Move, *, limited: bool) -> Table:
-    move_m, window_s, still = move.length_m, move.window_s, move.residual_m
+    move_m, window_s, limit_m = move.length_m, move.window_s, move.residual_m
     header = ["law", "residual mm", "worst mm", "in ms", "m/s^2", "m/s^3", "peak N"]
     rows = []
-    for one in found:
-        law = one.law
+    for ranked_law in found:
+        law = ranked_law.law
         acceleration = law.acceleration * move_m / window_s**2
         rows.append(
             [
                 law.name,
-                f"{one.residual_m * 1e3:.4f}",
-                f"{one.worst_m * 1e3:.4f}",
-                f"{one.worst_window_s * 1e3:.4g}",
+                f"{ranked_law.residual_m * 1e3:.4f}",
+                f"{ranked_law.worst_m * 1e3:.4f}",
+                f"{ranked_law.worst_window_s * 1e3:.4g}",
                 f"{acceleration:.4g}",
                 "infinite" if law.jerk is None else f"{law.jerk * move_m / window_s**3:.4g}",
                 f"{move.mass_kg * acceleration:.4g}",
             ]
         )
-        if one.window_s is not None:
-            rows[-1].append(f"{one.window_s * 1e3:.4g}")
-    if still is not None:
+        if ranked_law.window_s is not None:
+            rows[-1].append(f"{ranked_law.window_s * 1e3:.4g}")
+    if limit_m is not None:
         header.append("still from ms")
     return Table(
         title=f"{move_m * 1e3:g} mm in {window_s * 1e3:g} ms on a mode of "
@@ -260,8 +264,8 @@ def _ranking(found: Sequence[Ringing], move: _Move, *, limited: bool) -> Table:
         "worst: the largest over this and every longer window, and the window that has it."
         + (
             ""
-            if still is None
-            else f" Still from: that and every longer window leaves at most {still * 1e3:g} mm"
+            if limit_m is None
+            else f" Still from: that and every longer window leaves at most {limit_m * 1e3:g} mm"
             + (" within the acceleration." if limited else ".")
         ),
     )
@@ -284,21 +288,21 @@ def _made_table(made: MadeLaw, shaped: Sequence[ShapedWindow], found: Sequence[R
          "acceleration free to step, exact mode alone"],
         ["rigid machine", f"{d.rigid_s * 1e3:.1f}", "", "", "infinite", "no mode at all"],
     ]  # fmt: skip
-    for one in sorted(shaped, key=lambda each: each.window_s):
-        law, window = one.law, one.window_s
+    for shaped_window in sorted(shaped, key=lambda each: each.window_s):
+        law, window_s = shaped_window.law, shaped_window.window_s
         rows.append(
             [
                 law.name,
-                f"{window * 1e3:.1f}",
-                f"{law.velocity * d.move_m / window * 1e3:.4g}",
-                f"{law.acceleration * d.move_m / window**2:.4g}",
-                "infinite" if law.jerk is None else f"{law.jerk * d.move_m / window**3:.4g}",
+                f"{window_s * 1e3:.1f}",
+                f"{law.velocity * d.move_m / window_s * 1e3:.4g}",
+                f"{law.acceleration * d.move_m / window_s**2:.4g}",
+                "infinite" if law.jerk is None else f"{law.jerk * d.move_m / window_s**3:.4g}",
                 "law and shaper, same band",
             ]
         )
-    timed = [one for one in found if one.window_s is not None]
-    if timed:
-        best = min(timed, key=lambda each: each.window_s or np.inf)
+    settling = [shaped_window for shaped_window in found if shaped_window.window_s is not None]
+    if settling:
+        best = min(settling, key=lambda each: each.window_s or np.inf)
         rows.append(
             [best.law.name, f"{(best.window_s or 0.0) * 1e3:.1f}", "", "", "",
              "the best law without the mode, for every longer window too"]
@@ -311,30 +315,33 @@ def _made_table(made: MadeLaw, shaped: Sequence[ShapedWindow], found: Sequence[R
     )
 
 
-def _beside(made: MadeLaw) -> tuple[Any, Any, Any]:
+def _on_other_modes(made: MadeLaw) -> tuple[Any, Any, Any]:
     ratios = np.array(_RATIOS)
-    d = made.demand
-    at = np.array([made.window_s])
-    copied = [
+    demand = made.demand
+    window_s = np.array([made.window_s])
+    copied_m = [
         residual_m(
-            LAWS[COPIED], FlexibleMode(r * d.mode.frequency_hz, d.mode.damping_ratio), d.move_m, at
+            LAWS[COPIED],
+            FlexibleMode(r * demand.mode.frequency_hz, demand.mode.damping_ratio),
+            demand.move_m,
+            window_s,
         )[0]
         for r in _RATIOS
     ]
-    return ratios, outside(made, ratios), np.array(copied)
+    return ratios, outside(made, ratios), np.array(copied_m)
 
 
 def _outside_table(made: MadeLaw) -> Table:
-    d = made.demand
+    demand = made.demand
     rows = [
         [
-            f"{ratio * d.mode.frequency_hz:.4g}",
+            f"{ratio * demand.mode.frequency_hz:.4g}",
             f"{(ratio - 1.0) * 100:+.0f} %",
-            f"{left * 1e3:.4f}",
-            f"{copied * 1e3:.4f}",
-            "" if abs(ratio - 1.0) <= d.band + 1e-9 else "outside the band",
+            f"{made_residual * 1e3:.4f}",
+            f"{copied_m * 1e3:.4f}",
+            "" if abs(ratio - 1.0) <= demand.band + 1e-9 else "outside the band",
         ]
-        for ratio, left, copied in zip(*_beside(made), strict=True)
+        for ratio, made_residual, copied_m in zip(*_on_other_modes(made), strict=True)
     ]
     return Table(
         title="The law made for the mode is a notch: its residual vibration on other modes, mm",
@@ -345,20 +352,21 @@ def _outside_table(made: MadeLaw) -> Table:
 
 def _notch(made: MadeLaw) -> str:
     d = made.demand
-    f = d.mode.frequency_hz
-    below, above = (
-        1e3 * x for x in outside(made, np.array([1.0 - 2.0 * _wide(d), 1.0 + 2.0 * _wide(d)]))
+    mode_hz = d.mode.frequency_hz
+    low_mm, high_mm = (
+        1e3 * x
+        for x in outside(made, np.array([1.0 - 2.0 * _half_band(d), 1.0 + 2.0 * _half_band(d)]))
     )
     return (
         f"the law made for the mode is a notch: {d.residual_m * 1e3:g} mm holds from "
-        f"{f * (1.0 - d.band):.4g} to {f * (1.0 + d.band):.4g} Hz; at "
-        f"{f * (1.0 - 2.0 * _wide(d)):.4g} Hz it leaves {below:.3g} mm, at "
-        f"{f * (1.0 + 2.0 * _wide(d)):.4g} Hz {above:.3g} mm. Measure the mode where the load and "
-        "the place vary"
+        f"{mode_hz * (1.0 - d.band):.4g} to {mode_hz * (1.0 + d.band):.4g} Hz; at "
+        f"{mode_hz * (1.0 - 2.0 * _half_band(d)):.4g} Hz it leaves {low_mm:.3g} mm, at "
+        f"{mode_hz * (1.0 + 2.0 * _half_band(d)):.4g} Hz {high_mm:.3g} mm. Measure the "
+        "mode where the load and the place vary"
     )
 
 
-def _wide(demand: Demand) -> float:
+def _half_band(demand: Demand) -> float:
     return min(max(demand.band, 0.05), 0.45)
 
 
@@ -392,7 +400,7 @@ def _content(
         ],
     }
     if made is not None:
-        ratios, left, copied = _beside(made)
+        ratios, made_m, copied_m = _on_other_modes(made)
         content["made"] = law_json(made.law) | {
             "window_s": made.window_s,
             "residual_m": made.simulated_m,
@@ -405,7 +413,7 @@ def _content(
             "shaped": {one.law.name: one.window_s for one in shaped},
             "outside": [
                 {"frequency_hz": r * move.mode.frequency_hz, "residual_m": x, f"{COPIED}_m": y}
-                for r, x, y in zip(ratios.tolist(), left.tolist(), copied.tolist(), strict=True)
+                for r, x, y in zip(ratios.tolist(), made_m.tolist(), copied_m.tolist(), strict=True)
             ],
             "warning": _notch(made),
         }

@@ -122,30 +122,30 @@ def learn(
         _from_runs(job, machine, learning, words, rules, report, json=json)
         return
     with progress_bar(not json) as progress:
-        found = learned_on_twins(words, job, machine, rules, learning.repeats, progress)
+        learned = learned_on_twins(words, job, machine, rules, learning.repeats, progress)
         page = None
         with together(output):
             if output is not None:
-                found.write(output)
+                learned.write(output)
             if report is not None:
                 from threadline.report.learn import write_learning
 
                 typed = {"-m": machine, **words.typed("learn"), **level_option(words.trials())}
                 typed["--repeats"] = str(learning.repeats)
-                page = write_learning(found, report, command_line("learn", job, typed))
-    tell(warnings_of(found.machines[0][1].proof))
+                page = write_learning(learned, report, command_line("learn", job, typed))
+    tell(warnings_of(learned.machines[0][1].proof))
     if json:
         extra = {} if page is None else {"report": str(page)}
-        print_json(found.content() | ({} if output is None else {"table": str(output)}) | extra)
+        print_json(learned.content() | ({} if output is None else {"table": str(output)}) | extra)
     else:
-        show(found)
+        show(learned)
         if page is not None:
             say(f"Report: {page}")
         if output is not None:
             say(f"Table: {output}")
             typed = {"-m": machine, **words.typed("prove"), "--table": output}
             say(f"  {command_line('prove', job, typed)}")
-    raise typer.Exit(0 if found.passed else 1)
+    raise typer.Exit(0 if learned.passed else 1)
 
 
 def show(found: LearnedJob) -> None:
@@ -175,15 +175,15 @@ def _from_runs(
     recorded = {name: _recording(name, learning.store) for name in learning.runs or ()}
     if len(recorded) < len(learning.runs or ()):
         raise OptionError("--from names a run twice", remedy="Name each run once.")
-    found = learned_from(words, job, machine, rules, recorded)
+    learned = learned_from(words, job, machine, rules, recorded)
     if learning.output is not None:
-        found.write(learning.output)
+        learned.write(learning.output)
     if json:
         written = {} if learning.output is None else {"table": str(learning.output)}
-        print_json(found.content() | written)
+        print_json(learned.content() | written)
     else:
-        _show_runs(found, list(recorded), learning.output, job, machine)
-    raise typer.Exit(0 if found.repeats[found.best].verdict.passed else 1)
+        _show_runs(learned, list(recorded), learning.output, job, machine)
+    raise typer.Exit(0 if learned.repeats[learned.best].verdict.passed else 1)
 
 
 def _show_runs(
@@ -204,8 +204,8 @@ def _show_runs(
         )
     header = ("run", "in spec", "of the limit", "tightest", "error", "note")
     print_table(f"Runs of {found.base.job.name}", header, rows)
-    what = f"gain {found.gain:.3g} after {names[found.best]}" if found.gain else found.note
-    say(f"next table: {what}")
+    next_text = f"gain {found.gain:.3g} after {names[found.best]}" if found.gain else found.note
+    say(f"next table: {next_text}")
     if output is not None:
         say(f"Table: {output}")
         typed: dict[str, str | Path | None] = {"-m": machine, "--table": output}
@@ -216,13 +216,13 @@ def _recording(name: str, store: Path) -> Recording:
     """Return the recording in a file, or of a run of the store."""
     if Path(name).suffix and Path(name).exists() and Path(name).is_file():
         return whole_recording(Path(name))
-    kept = opened(store)
-    if kept is None:
+    store_open = opened(store)
+    if store_open is None:
         raise StoreError(
             f"there is no run {name[:60]!r} in {str(store)!r}, and no such file",
             remedy="Give a recording, or --store.",
         )
-    return whole_recording(kept.find(name) / TRACE)
+    return whole_recording(store_open.find(name) / TRACE)
 
 
 def register(app: typer.Typer) -> None:

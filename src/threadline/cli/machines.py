@@ -68,8 +68,8 @@ def machine_json(name: str) -> dict[str, Any]:
 
 def controllers_of(machine: Machine) -> list[str]:
     """Return the controllers of a machine by kind, each with the period of its clock."""
-    found = [f"{what} every {_period(machine, clock)}" for what, clock in clocked(machine)]
-    return list(dict.fromkeys(found))
+    controllers = [f"{kind} every {_period(machine, clock)}" for kind, clock in clocked(machine)]
+    return list(dict.fromkeys(controllers))
 
 
 def _period(machine: Machine, clock: str) -> str:

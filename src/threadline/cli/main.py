@@ -77,8 +77,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     with terminating() as termination, noting_outputs() as appeared:
         status = _run(given, termination)
         if status == EXIT_INTERRUPTED:
-            status, said = termination.end(wrote=bool(appeared.files))
-            note(said.rstrip())
+            status, message = termination.end(wrote=bool(appeared.files))
+            note(message.rstrip())
         for folder in appeared.folders:
             note(f"made the folder {_near(folder)}")
     sys.exit(status)
@@ -91,32 +91,32 @@ def _near(folder: Path) -> Path:
     return folder
 
 
-def _of_arguments(error: TyperException) -> str:
+def _argument_fault(error: TyperException) -> str:
     """Return the fault of an argument, in Threadline's own words if it has some."""
     faults = getattr(error.__cause__, "errors", None)  # pydantic's: typer reads values with it
     if isinstance(error, typer.BadParameter) and error.param and faults is not None:
         fault, *_ = faults()
         if isinstance(raised := fault.get("ctx", {}).get("error"), ThreadlineError):
             return str(raised)
-        what, remedy = field_fault(fault)
-        text = f"{error.param.get_error_hint()} {what}. {remedy}"
+        reason, remedy = field_fault(fault)
+        text = f"{error.param.get_error_hint()} {reason}. {remedy}"
         return f"[{OptionError.code}] {text} See the command's --help."
     # Imported only here: the table of options imports numpy.
     from threadline.proof.option_table import TABLE
 
     verb = getattr(getattr(error, "ctx", None), "info_name", None)
     name = getattr(error, "option_name", "")
-    elsewhere = next((one.verbs for one in TABLE if one.typed == name), ())
-    if elsewhere and verb not in elsewhere:
+    verbs_with_option = next((one.verbs for one in TABLE if one.typed == name), ())
+    if verbs_with_option and verb not in verbs_with_option:
         return (
-            f"[{OptionError.code}] {verb} takes no {name}; {', '.join(elsewhere)} take it. "
+            f"[{OptionError.code}] {verb} takes no {name}; {', '.join(verbs_with_option)} take it. "
             "Leave it out."
         )
-    what = error.format_message().rstrip(".")
+    reason = error.format_message().rstrip(".")
     text = getattr(getattr(error, "param", None), "help", "")
-    if what.startswith("Missing") and text:
-        what = f"{what}: {text[0].lower()}{text[1:].rstrip('.')}"
-    return f"[{OptionError.code}] {what}. See the command's --help for its arguments and options."
+    if reason.startswith("Missing") and text:
+        reason = f"{reason}: {text[0].lower()}{text[1:].rstrip('.')}"
+    return f"[{OptionError.code}] {reason}. See the command's --help for its arguments and options."
 
 
 def _run(given: list[str], termination: Termination) -> int:
@@ -138,7 +138,7 @@ def _run(given: list[str], termination: Termination) -> int:
         fault = isinstance(error, LinkFaultError) and not isinstance(error, InputError)
         _stop(str(error), EXIT_FAULT if fault else EXIT_WRONG_INPUT, remedy=error.remedy)
     except TyperException as error:
-        _stop(_of_arguments(error), EXIT_WRONG_INPUT)
+        _stop(_argument_fault(error), EXIT_WRONG_INPUT)
     except BrokenPipeError:
         _nobody_reads()
     except SystemExit as stopped:  # typer ends a broken pipe with 1, which is "out of spec" here

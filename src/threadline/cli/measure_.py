@@ -82,29 +82,29 @@ def measure_axis(
         amplitude=None if amplitude is None else parse_quantity(amplitude, unit),
         band_hz=None if band is None else parse_band(band),
     )
-    other = None if actual is None else load_machine(actual)
-    if other is not None:
-        check_same_axes(chosen, other)
+    actual_machine = None if actual is None else load_machine(actual)
+    if actual_machine is not None:
+        check_same_axes(chosen, actual_machine)
     fault = None if inject is None else parse_fault(inject, chosen)
-    foreseen = predict(chosen, planned)
+    prediction = predict(chosen, planned)
     if not json:
-        say(_foreseen(chosen, axis, kind, foreseen))
+        say(_foreseen(chosen, axis, kind, prediction))
     if dry:
         if json:
-            print_json({"predicted": _predicted(foreseen)})
+            print_json({"predicted": _predicted(prediction)})
         return
-    found = measure(chosen, planned, link=link, actual=other, fault=fault)
-    write_recording(found.recording, output)
-    if found.ended is not RunEnd.COMPLETED:
+    measurement = measure(chosen, planned, link=link, actual=actual_machine, fault=fault)
+    write_recording(measurement.recording, output)
+    if measurement.ended is not RunEnd.COMPLETED:
         raise LinkFaultError(
-            f"the measurement ended early: {found.why or found.ended.value}",
+            f"the measurement ended early: {measurement.why or measurement.ended.value}",
             remedy=f"{output} has the recording until then.",
         )
     if json:
-        print_json(_content(foreseen, found, output))
+        print_json(_content(prediction, measurement, output))
         return
-    if found.response is not None:
-        _show(found)
+    if measurement.response is not None:
+        _show(measurement)
     elif kind == "sweep":
         say("The link reports no volts, so the file has no response; fit the raw run")
     say(f"Wrote {output}")
@@ -123,8 +123,8 @@ def _show(found: Measurement) -> None:
     response = found.response
     assert response is not None and response.coherence is not None
     rows = [
-        [f"{f:.4g}", f"{size:.2f}", f"{phase:.1f}", f"{c:.4f}"]
-        for f, size, phase, c in zip(
+        [f"{f:.4g}", f"{magnitude_db:.2f}", f"{phase:.1f}", f"{coherence:.4f}"]
+        for f, magnitude_db, phase, coherence in zip(
             response.frequency_hz,
             response.magnitude_db,
             response.phase_deg,

@@ -129,13 +129,13 @@ class Telling:
         negative.
         """
         began_s, now_s = self.since_s, time.monotonic()
-        *before, (last_s, last) = [(began_s, 0.0), *self.grown]
-        if last < _TELLING_FROM:
+        *earlier, (last_s, last_share) = [(began_s, 0.0), *self.grown]
+        if last_share < _TELLING_FROM:
             return 0.0
-        half = [one for one in before if one[0] <= 0.5 * (began_s + now_s)]
-        from_s, share = half[-1] if half else before[0]
-        per_s = (last - share) / max(last_s - from_s, 1e-9)
-        return (1.0 - last) / per_s - (now_s - last_s)
+        first_half = [point for point in earlier if point[0] <= 0.5 * (began_s + now_s)]
+        since_s, share = first_half[-1] if first_half else earlier[0]
+        per_s = (last_share - share) / max(last_s - since_s, 1e-9)
+        return (1.0 - last_share) / per_s - (now_s - last_s)
 
 
 def share_of(stage: str, fraction: float) -> float:
@@ -210,46 +210,46 @@ def telling(*, starting: bool = False) -> Iterator[Telling]:
     If machine code is compiled for longer than ``COMPILING_S``, one line says so. With
     ``starting``, a terminal shows within a second that the command is being loaded.
     """
-    held = Telling()
-    before = _TELLING.set(held)
+    collected = Telling()
+    token = _TELLING.set(collected)
     ended = threading.Event()
     word = threading.Timer(STARTING_S, STARTING.show)
     if starting:
         STARTING.begin()
         word.daemon = True
         word.start()
-    beat = threading.Thread(target=_beat, args=(held, ended), daemon=True)
+    beat = threading.Thread(target=_beat, args=(collected, ended), daemon=True)
     beat.start()
     try:
-        yield held
+        yield collected
     finally:
         word.cancel()
         STARTING.over()
         ended.set()
         beat.join()  # otherwise its unfinished line would appear after or within the error
-        _TELLING.reset(before)
+        _TELLING.reset(token)
 
 
 ASKING = threading.Event()
 """Set while a question waits for the answer of a person at the keyboard."""
 
 
-def _beat(held: Telling, ended: threading.Event) -> None:
-    began = last_s = time.monotonic()
+def _beat(collected: Telling, ended: threading.Event) -> None:
+    began_s = last_s = time.monotonic()
     compiled_s: float | None = COMPILING.lasted_s()
     while not ended.wait(min(LOOK_S, EVERY_S)):
-        held.look()
+        collected.look()
         if compiled_s is not None and COMPILING.lasted_s() - compiled_s > COMPILING_S:
             compiled_s = None
             note(f"compiling machine code, {_ONCE if COMPILING.kept else _EACH_TIME}")
         if ASKING.is_set():
-            began = last_s = time.monotonic()
+            began_s = last_s = time.monotonic()
         if time.monotonic() - last_s < EVERY_S:
             continue
         last_s = time.monotonic()
-        if not held.shown:
-            doing = held.doing()
-            note(f"still at work after {last_s - began:.0f} s{doing and ': '}{doing}")
+        if not collected.shown:
+            doing = collected.doing()
+            note(f"still at work after {last_s - began_s:.0f} s{doing and ': '}{doing}")
 
 
 def tell_warnings(warnings: Iterable[str]) -> None:

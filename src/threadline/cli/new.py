@@ -183,8 +183,8 @@ def _tell(
         for text in read.notes:
             say(f"  {text}")
     say(f"{folder}: {', '.join(files)}")
-    there = "" if folder == Path() else f"cd {shlex.quote(str(folder))} && "
-    say(f"Next: {there}{command}")
+    change_folder = "" if folder == Path() else f"cd {shlex.quote(str(folder))} && "
+    say(f"Next: {change_folder}{command}")
 
 
 def _asked(
@@ -199,9 +199,11 @@ def _asked(
         say(f"Kinds: {', '.join([*KINDS, *PROJECTS])}.")
         kind = _until_right("What the machine is", "grbl", _kind)
     if kind in KINDS and source is None:
-        of = kind
+        wanted_kind = kind
         source = _until_right(
-            f"File of its settings: {ANSWERS_TO[kind]}", "settings.txt", lambda t: _source(of, t)
+            f"File of its settings: {ANSWERS_TO[kind]}",
+            "settings.txt",
+            lambda t: _source(wanted_kind, t),
         )
     if folder is None:
         folder = _until_right("Folder to make", f"my-{kind}", _folder)
@@ -213,14 +215,18 @@ def _asked(
         wanted.limits_only = _until_right("Limits and times alone, without motors", "yes", _yes)
     wanted.limits_only |= bool(settings.coupled)
     while missing := still_missing(settings, answers, limits_only=wanted.limits_only):
-        one = missing[0]
+        missing_answer = missing[0]
 
-        def said(text: str, key: str = one.key) -> str:
+        def said(text: str, key: str = missing_answer.key) -> str:
             answer = f"{key}={text}"
             check_answers(settings, parse_answers([*answers, answer]))
             return answer
 
-        answers.append(_until_right(f"{one.key}: {one.what}", one.example, said))
+        answers.append(
+            _until_right(
+                f"{missing_answer.key}: {missing_answer.what}", missing_answer.example, said
+            )
+        )
     return wanted
 
 
@@ -288,9 +294,11 @@ _MACHINES = ("cnc", "engraver", "laser", "lathe", "mill", "plotter", "printer", 
 
 def _project(kind: str) -> Project:
     if kind not in PROJECTS:
-        own = {firmware: name for name, firmware in FIRMWARES.items()}
-        word = kind.partition("-")[0]
-        close = difflib.get_close_matches(own.get(word, word), [*PROJECTS, *KINDS], n=1)
+        by_firmware = {firmware: name for name, firmware in FIRMWARES.items()}
+        first_word = kind.partition("-")[0]
+        close = difflib.get_close_matches(
+            by_firmware.get(first_word, first_word), [*PROJECTS, *KINDS], n=1
+        )
         hint = f"Did you mean {close[0]!r}? " if close else ""
         if kind.lower() in _MACHINES:
             hint = "A machine like this is named after the firmware of its controller. "

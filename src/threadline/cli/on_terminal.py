@@ -41,25 +41,25 @@ def laid_out(
     rows = [[plain(cell) for cell in row] for row in rows]
     notes: list[tuple[str, str]] = []
     if header[-1] == "note" and not _fits(header, rows, console.width):
-        named = 2 if len(header) > 1 and header[1] == "axis" else 1
-        notes = [(" ".join(row[:named]).strip(), row[-1]) for row in rows if row[-1]]
+        subject_cells = 2 if len(header) > 1 and header[1] == "axis" else 1
+        notes = [(" ".join(row[:subject_cells]).strip(), row[-1]) for row in rows if row[-1]]
         header, rows = header[:-1], [row[:-1] for row in rows]
     widths: Sequence[int | None] | None = _widths(header, rows, console.width)
     if widths is None:
-        turned = [list(column) for column in zip(header, *rows, strict=True)]
-        widths = _widths(turned[0], turned[1:], console.width)
+        turned_table = [list(column) for column in zip(header, *rows, strict=True)]
+        widths = _widths(turned_table[0], turned_table[1:], console.width)
         if widths is not None:
-            header, *rows = turned
+            header, *rows = turned_table
     # Text, not str: rich would read "[/b]" as markup, and ":x:" as an emoji.
     table = Table(title=Text(title), title_justify="left", title_style="bold", box=SIMPLE_HEAD)
     # Text that does not fit is cut unless it wraps, and 0.5 mm would be read as 0.5 m.
-    first = max(len(line[0]) for line in [header, *rows]) + _BETWEEN
+    first_width = max(len(line[0]) for line in [header, *rows]) + _BETWEEN
     for index, name in enumerate(header):
         text = index == 0 or name == "note"
         table.add_column(
             Text(name),
             justify="left" if text else "right",
-            no_wrap=widths is None and index == 0 and 2 * first <= console.width,
+            no_wrap=widths is None and index == 0 and 2 * first_width <= console.width,
             width=None if widths is None else widths[index],
             overflow="fold",
         )
@@ -76,26 +76,26 @@ def _widths(
     The other columns stay on one line as long as a column called note has room for a few words.
     """
     columns = list(zip(header, *rows, strict=True))
-    full = [max(map(len, column)) for column in columns]
-    found = [max(len(word) for cell in column for word in cell.split(" ")) for column in columns]
+    longest = [max(map(len, column)) for column in columns]
+    widths = [max(len(word) for cell in column for word in cell.split(" ")) for column in columns]
     note = len(header) - 1 if header[-1] == "note" else None
     if note is not None:
-        found[note] = max(found[note], min(full[note], _NARROW))
-    left = width - 1 - sum(found) - _BETWEEN * len(header)
-    if left < 0:
+        widths[note] = max(widths[note], min(longest[note], _NARROW))
+    spare = width - 1 - sum(widths) - _BETWEEN * len(header)
+    if spare < 0:
         return None
-    for k in sorted(range(len(header)), key=lambda k: (k == note, full[k] - found[k])):
-        more = min(full[k] - found[k], left)
-        found[k] += more
-        left -= more
-    return list(found)
+    for k in sorted(range(len(header)), key=lambda k: (k == note, longest[k] - widths[k])):
+        added = min(longest[k] - widths[k], spare)
+        widths[k] += added
+        spare -= added
+    return list(widths)
 
 
 def _fits(header: Sequence[str], rows: Sequence[Sequence[str]], width: int) -> bool:
     """Return whether the last column has room for its longest text, or for ``_WRAPPED``."""
     lines = [header, *rows]
-    others = sum(max(len(line[k]) for line in lines) + 2 for k in range(len(header) - 1))
-    return width - others - 2 >= min(max(len(line[-1]) for line in lines), _WRAPPED)
+    other_widths = sum(max(len(line[k]) for line in lines) + 2 for k in range(len(header) - 1))
+    return width - other_widths - 2 >= min(max(len(line[-1]) for line in lines), _WRAPPED)
 
 
 class _WhileItStands(io.TextIOBase):

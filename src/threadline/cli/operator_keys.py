@@ -132,9 +132,13 @@ class AtTheKeys:
         if executor.state is not State.HOLDING:
             self._last_hold = ""
             return
-        alone = self._terminal is None
-        can = _ALONE if alone else "r goes on, any other key stops"
-        text = f"holding: {executor.why}; {can}" if executor.why else f"holding: {can}"
+        nobody = self._terminal is None
+        options_text = _ALONE if nobody else "r goes on, any other key stops"
+        text = (
+            f"holding: {executor.why}; {options_text}"
+            if executor.why
+            else f"holding: {options_text}"
+        )
         if text != self._last_hold:
             self._last_hold = text
             note(text)
@@ -152,13 +156,13 @@ def _terminal() -> Iterator[int | None]:
     assert sys.stdin is not None
 
     number = sys.stdin.fileno()
-    before = termios.tcgetattr(number)
+    previous_settings = termios.tcgetattr(number)
     tty.setcbreak(number)
     try:
         yield number
     finally:
         with suppress(termios.error):  # the terminal hung up
-            termios.tcsetattr(number, termios.TCSADRAIN, before)
+            termios.tcsetattr(number, termios.TCSADRAIN, previous_settings)
 
 
 RestOf = Callable[[int], Rest]
@@ -240,9 +244,9 @@ def continued_run(
     operation = operation_at(
         plan, last_executed(trace_of(folder, record)), "block" if at is None else at
     )
-    again = continued_by(plan, rest_of(operation))
-    for line in again.notes:
+    continued = continued_by(plan, rest_of(operation))
+    for line in continued.notes:
         note(line)
     if asks:
         note("after homing, c continues the run, any other key ends the command")
-    return again, {"continues": folder.name, "from_operation": str(again.rest.operation)}
+    return continued, {"continues": folder.name, "from_operation": str(continued.rest.operation)}

@@ -45,34 +45,34 @@ def add(app: typer.Typer, verb: str, command: Callable[..., None]) -> None:
     """
     signature = inspect.signature(command, eval_str=True)
     groups: dict[str, tuple[Callable[..., object], list[str]]] = {}
-    flat: list[inspect.Parameter] = []
+    parameters: list[inspect.Parameter] = []
     for name, parameter in signature.parameters.items():
         kind = parameter.annotation
         if kind is Words:
             table = options_for(verb)
-            flat += [_parameter(one, verb) for one in table]
+            parameters += [_parameter(one, verb) for one in table]
             groups[name] = (partial(_words, verb), [one.word for one in table])
         elif is_dataclass(kind) and isinstance(kind, type):
             hints = get_type_hints(kind, include_extras=True)
-            flat += [_field(one, hints[one.name]) for one in fields(kind)]
+            parameters += [_field(one, hints[one.name]) for one in fields(kind)]
             groups[name] = (kind, [one.name for one in fields(kind)])
         else:
-            flat.append(parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY))
+            parameters.append(parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY))
 
     def called(**given: Any) -> None:
-        made = {
+        built = {
             name: make(**{one: given.pop(one) for one in own})
             for name, (make, own) in groups.items()
         }
-        words = next((one for one in made.values() if isinstance(one, Words)), None)
+        words = next((one for one in built.values() if isinstance(one, Words)), None)
         if words is None:
-            command(**made, **given)
+            command(**built, **given)
             return
         with words.judging(note):
-            command(**made, **given)
+            command(**built, **given)
 
     called.__doc__, called.__name__ = command.__doc__, command.__name__
-    called.__signature__ = inspect.Signature(flat)  # type: ignore[attr-defined]
+    called.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
     app.command(verb, cls=SectionedCommand)(called)
 
 

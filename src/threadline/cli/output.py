@@ -104,8 +104,10 @@ def print_table(title: str, header: Sequence[str], rows: Sequence[Sequence[str]]
     console, table, notes = laid_out(title, header, rows, width)
     with _to_stdout():
         console.print(table)
-        for subject, said in notes:
-            console.print(f"  {subject}: {said}", markup=False, highlight=False, soft_wrap=True)
+        for subject, note_text in notes:
+            console.print(
+                f"  {subject}: {note_text}", markup=False, highlight=False, soft_wrap=True
+            )
 
 
 @contextmanager
@@ -164,17 +166,17 @@ def check_outputs(
 
 
 def _check_folder(folder: Path, wanted: Path) -> None:
-    there = folder
-    while not os.path.lexists(there) and there != there.parent:
-        there = there.parent
-    if not there.is_dir():
+    existing = folder
+    while not os.path.lexists(existing) and existing != existing.parent:
+        existing = existing.parent
+    if not existing.is_dir():
         raise OptionError(
-            f"cannot write {str(wanted)!r}: {str(there)!r} is not a folder",
+            f"cannot write {str(wanted)!r}: {str(existing)!r} is not a folder",
             remedy="Give another path.",
         )
-    if not os.access(there, os.W_OK | os.X_OK):
+    if not os.access(existing, os.W_OK | os.X_OK):
         raise OptionError(
-            f"cannot write {str(wanted)!r}: no permission to write in {str(there)!r}",
+            f"cannot write {str(wanted)!r}: no permission to write in {str(existing)!r}",
             remedy="Give another path.",
         )
 
@@ -191,5 +193,5 @@ def warn(machine: Machine, job: Job, more: Iterable[str] = (), *, own_feed: bool
 
 def tell(warnings: Iterable[str]) -> None:
     """Print warnings once the command has answered."""
-    for said in warnings:
-        warning(said)
+    for text in warnings:
+        warning(text)

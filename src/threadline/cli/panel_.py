@@ -93,11 +93,11 @@ def panel(
     admission = Admission(host, token)
     check_page()
     owned = Owned(chosen, spec, folder, store, speed, link)
-    with tempfile.TemporaryDirectory(prefix="threadline-panel-") as kept:
-        calculation = Calculation(chosen, spec, folder, Path(kept))
+    with tempfile.TemporaryDirectory(prefix="threadline-panel-") as kept_folder:
+        calculation = Calculation(chosen, spec, folder, Path(kept_folder))
         owner = OwnerLink(lambda: start_owner(owned))
         served = Panel(chosen, owner, calculation, link, far_end)
-        guide = MachineGuide(chosen, Path(kept))
+        guide = MachineGuide(chosen, Path(kept_folder))
         app = make_app(served, guide, folder, store, admission)
         listening = _listen(host, port)
         url = f"http://{in_url(host)}:{port}/"
@@ -139,8 +139,10 @@ def _of_the_panel(record: logging.LogRecord) -> bool:
     Malformed text from a client is no fault, nor a request abandoned at shutdown.
     """
     error = record.exc_info and record.exc_info[1]
-    let_go = isinstance(error, asyncio.CancelledError) or str(record.msg).startswith("Cancel ")
-    return not (let_go or isinstance(error, UnicodeDecodeError))
+    is_cancelled = isinstance(error, asyncio.CancelledError) or str(record.msg).startswith(
+        "Cancel "
+    )
+    return not (is_cancelled or isinstance(error, UnicodeDecodeError))
 
 
 def _checked_host(host: str) -> str:
@@ -170,11 +172,11 @@ def _listen(host: str, port: int) -> socket.socket:
         return socket.create_server((host, port), family=_family(host), reuse_port=False)
     except OSError as error:
         why = str(error.strerror or error).partition(" (while")[0]  # the rest repeats the address
-        of_port = error.errno in (errno.EADDRINUSE, errno.EACCES)
+        is_port_fault = error.errno in (errno.EADDRINUSE, errno.EACCES)
         raise OptionError(
             f"cannot listen at {in_url(host)}:{port}: {why}",
             remedy="Give another --port, or end the program that has this one."
-            if of_port
+            if is_port_fault
             else f"--host {host} has to be an address of this computer.",
         ) from error
 

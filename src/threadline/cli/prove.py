@@ -98,8 +98,8 @@ def prove(
         with together(recording, proof_file, worst):
             if recording is not None:
                 # A recording is a recipe: writing it simulates that run again.
-                watched = Share(proof.plan, progress, 1, WRITING).of([proof.recording])
-                write_recording(watched[0], recording, plot_every=plot_every(chosen))
+                reported = Share(proof.plan, progress, 1, WRITING).of([proof.recording])
+                write_recording(reported[0], recording, plot_every=plot_every(chosen))
             if proof_file is not None:
                 from threadline.proof.proof_file import write_proof
 
@@ -123,11 +123,11 @@ def prove(
         if proof_file is not None:
             content["proof"] = str(proof_file)
         if worst is not None:
-            place = {
+            worst_facts = {
                 "command": worst_machine_command(job, machine, words, worst),
                 "product": worst_product(proof),
             }
-            content["worst"] = {"file": str(worst), **place}
+            content["worst"] = {"file": str(worst), **worst_facts}
         print_json(content)
     else:
         show_proof(proof)

@@ -58,13 +58,13 @@ def report(
 
     Example: threadline report last --csv run.csv
     """
-    kept = opened(store)
-    if kept is None:
+    store_open = opened(store)
+    if store_open is None:
         raise StoreError(
             f"there is no run {run[:60]!r} in {str(store)!r}", remedy="threadline run makes one."
         )
-    folder = kept.find(run)
-    record = kept.index.record(folder.name)
+    folder = store_open.find(run)
+    record = store_open.index.record(folder.name)
     if record.ended == REFUSED:
         raise StoreError(
             f"run {folder.name} was refused before anything moved: {record.text}",
@@ -73,8 +73,8 @@ def report(
     pages = out or folder / "report"
     check_outputs(file=csv, folder=pages)
     _check_samples(folder, record)
-    known = read_proof(folder / PROOF)
-    words = Words.of("judge", Door.LINE, {"spec": known.spec_path if spec is None else spec})
+    proof_read = read_proof(folder / PROOF)
+    words = Words.of("judge", Door.LINE, {"spec": proof_read.spec_path if spec is None else spec})
     try:
         judged = judge_files([folder / TRACE], words, read_one=whole_recording)
     except OptionError as error:
@@ -82,13 +82,13 @@ def report(
             f"run {folder.name}: {error.message}",
             remedy=f"Put the file back as it was; {folder / INPUTS} has a copy of each input.",
         ) from error
-    if spec is None and spec_sha256(judged.spec) != known.sha256("spec"):
+    if spec is None and spec_sha256(judged.spec) != proof_read.sha256("spec"):
         raise StoreError(
-            f"the specification that run {folder.name} was proved by, {known.name('spec')!r}, "
+            f"the specification that run {folder.name} was proved by, {proof_read.name('spec')!r}, "
             "has changed since",
             remedy=f"Give it with -s; {folder / INPUTS} has a copy if it was a file.",
         )
-    recording, before = judged.recordings[0], joined_with(folder / TRACE)
+    recording, earlier_runs = judged.recordings[0], joined_with(folder / TRACE)
     proof = Proof(
         plan=judged.plan,
         recording=recording,
@@ -104,13 +104,15 @@ def report(
     if json:
         content = verdict_json(judged.verdict, judged.plan)
         content |= {"override": override} if override else {}
-        print_json({**content, "run": folder.name, "judged_with": before, "report": str(written)})
+        print_json(
+            {**content, "run": folder.name, "judged_with": earlier_runs, "report": str(written)}
+        )
     else:
         show_proof(proof)
         if override:
             say(f"Run although its proof failed, by an override: {override}")
-        if before:
-            say(as_one(before))
+        if earlier_runs:
+            say(as_one(earlier_runs))
         say(f"Report: {written}")
     raise typer.Exit(0 if judged.verdict.passed else 1)
 
@@ -121,17 +123,19 @@ def _check_samples(folder: Path, record: RunRecord) -> None:
     A run that was judged had samples: its trace was removed, or lost.
     """
     trace = folder / TRACE
-    nothing = not trace.exists() or not trace.stat().st_size
-    if nothing and record.passed is not None:
+    is_empty = not trace.exists() or not trace.stat().st_size
+    if is_empty and record.passed is not None:
         word = "empty" if trace.exists() else "missing"
         raise StoreError(
             f"the trace of run {folder.name} is {word}: {trace}",
             remedy="The run was judged, so it had one: put it back from a copy.",
         )
-    if nothing or read_recording(trace).is_empty():
-        why = f", {record.ended}: {record.text}" if record.text else ", without a word of its end"
+    if is_empty or read_recording(trace).is_empty():
+        ended_text = (
+            f", {record.ended}: {record.text}" if record.text else ", without a word of its end"
+        )
         raise StoreError(
-            f"run {folder.name} ended before its first sample{why}",
+            f"run {folder.name} ended before its first sample{ended_text}",
             remedy="There is nothing to judge; run the job again.",
         )
 

@@ -153,7 +153,7 @@ def run(
     inject, proof_file = execution.inject, execution.proof_file
     secret = key_of("--key", execution.key, proof_file)
     fault = None if inject is None else parse_fault(inject, chosen)
-    over = link_of(
+    run_link = link_of(
         execution.link, chosen, execution.speed, fault,
         approach=execution.approach, actual=words.actual(),
     )  # fmt: skip
@@ -167,7 +167,11 @@ def run(
     check_machine(chosen)
     if proof_file is not None:
         read_proof(proof_file, secret)  # fail on an unreadable proof before planning
-    with progress_bar(not json) as progress, tempfile.TemporaryDirectory() as folder, closed(over):
+    with (
+        progress_bar(not json) as progress,
+        tempfile.TemporaryDirectory() as folder,
+        closed(run_link),
+    ):
         plan = plan_job(open_job(job, chosen, options), chosen, options)
         check_halts(plan, answered=execution.pass_stops or somebody_at_the_keys())
         if proof_file is None:
@@ -175,49 +179,55 @@ def run(
             proof = prove_plan(plan, spec_asked, progress, trials)
             tell(warnings_of(proof))
             write_proof(proof, proof_file)
-        known = check_runnable(proof_file, plan, spec_asked, execution.override, secret)
-        for line in over.prepare(plan):
+        proof_read = check_runnable(proof_file, plan, spec_asked, execution.override, secret)
+        for line in run_link.prepare(plan):
             note(line)
-        may = interventions(plan, spec_asked)
-        may = may.at_once() if over.holds_at_once else may
-        for line in may.notes:
+        allowed = interventions(plan, spec_asked)
+        allowed = allowed.at_once() if run_link.holds_at_once else allowed
+        for line in allowed.notes:
             note(line)
         recorded = {
             "link": execution.link,
-            **({} if (twin := words.text("actual")) is None else {"simulated": twin}),
-            **({"label": over.label} if over.label else {}),
+            **({} if (twin_name := words.text("actual")) is None else {"simulated": twin_name}),
+            **({"label": run_link.label} if run_link.label else {}),
             **({"override": execution.override} if execution.override else {}),
         }
-        again, known_of = continued_run(
+        continued, continued_entries = continued_run(
             store,
             execution.continue_,
             execution.at,
             plan,
-            lambda operation: over.rest(plan, operation, at_rest=may.hold is Hold.AT_REST),
+            lambda operation: run_link.rest(plan, operation, at_rest=allowed.hold is Hold.AT_REST),
             asks=not confirmed,
         )
-        recorded |= known_of
+        recorded |= continued_entries
         inputs = [file for file in inputs_read() if not file.samefile(proof_file)]
         manner = Manner(
-            may=may,
+            may=allowed,
             recorded=recorded,
             pass_stops=execution.pass_stops,
-            again=again,
+            again=continued,
             confirmed=confirmed,
         )
-        kept = RunStore(store).begin(plan, known, recorded, execution.speed, inputs, over.sent)
-        done = execute(
-            over, plan, kept, manner, lambda desk: at_the_keys(desk, plan.duration_s, progress)
+        open_run = RunStore(store).begin(
+            plan, proof_read, recorded, execution.speed, inputs, run_link.sent
         )
-        _warn_unreached(done, plan, fault)
-    judged = judge_run(done, plan, spec_asked, manner)
+        executed = execute(
+            run_link,
+            plan,
+            open_run,
+            manner,
+            lambda desk: at_the_keys(desk, plan.duration_s, progress),
+        )
+        _warn_unreached(executed, plan, fault)
+    judged = judge_run(executed, plan, spec_asked, manner)
     if judged.warned:
         warning(judged.warned)
     if recording is not None and judged.verdict is not None:
         write_recording(judged.recording, recording, plot_every=plot_every(chosen))
-    _show(done, judged, plan, over.label, json=json)
-    if done.ended is RunEnd.FAULT:
-        raise fault_of(done, over)
+    _show(executed, judged, plan, run_link.label, json=json)
+    if executed.ended is RunEnd.FAULT:
+        raise fault_of(executed, run_link)
     raise typer.Exit(0 if judged.verdict is not None and judged.verdict.passed else 1)
 
 
@@ -225,20 +235,20 @@ def _warn_unreached(done: Executed, plan: Plan, fault: SimFault | None) -> None:
     """Warn if a run ended before the injected fault."""
     period_s = float(plan.machine.command_clock.period_s)
     if fault is not None and done.ended is not RunEnd.FAULT and done.time_s < fault.tick * period_s:
-        at = f"{fault.kind} at {fault.tick * period_s:g} s"
-        warning(f"--inject: {at} never came: the run ended at {done.time_s:.6g} s")
+        fault_text = f"{fault.kind} at {fault.tick * period_s:g} s"
+        warning(f"--inject: {fault_text} never came: the run ended at {done.time_s:.6g} s")
 
 
-def _show(done: Executed, judged: JudgedRun, plan: Plan, label: str, *, json: bool) -> None:
+def _show(executed: Executed, judged: JudgedRun, plan: Plan, label: str, *, json: bool) -> None:
     """Print the verdict; after a fault the error message gives the rest."""
-    fault, content, verdict = done.ended is RunEnd.FAULT, judged.content, judged.verdict
+    fault, content, verdict = executed.ended is RunEnd.FAULT, judged.content, judged.verdict
     if verdict is None:
-        if done.ended is RunEnd.COMPLETED:
+        if executed.ended is RunEnd.COMPLETED:
             note(judged.text)
         elif not fault:
             note(f"{judged.text}: nothing was recorded to be judged")
         return
-    with report_failed_print(f"the verdict is in {done.kept.path}"):
+    with report_failed_print(f"the verdict is in {executed.kept.path}"):
         if json:
             if not fault:
                 print_json(content)
@@ -252,7 +262,7 @@ def _show(done: Executed, judged: JudgedRun, plan: Plan, label: str, *, json: bo
         if judged.before:
             say(as_one(judged.before))
         if not fault:
-            say(f"Run: {done.kept.path}")
+            say(f"Run: {executed.kept.path}")
 
 
 def register(app: typer.Typer) -> None:

@@ -30,15 +30,24 @@ def runs(store: StoreOption = DEFAULT_STORE, json: JsonOption = False) -> None:
 
     Example: threadline runs --store runs
     """
-    kept = opened(store)
-    found = [] if kept is None else [(one, kept.folder / one.run) for one in kept.index.runs()]
+    store_open = opened(store)
+    records = (
+        []
+        if store_open is None
+        else [(record, store_open.folder / record.run) for record in store_open.index.runs()]
+    )
     if json:
-        print_json([{**asdict(one), "verdict": verdict_of_run(one, at)} for one, at in found])
-    elif not found:
+        print_json(
+            [
+                {**asdict(record), "verdict": verdict_of_run(record, folder)}
+                for record, folder in records
+            ]
+        )
+    elif not records:
         say(f"There are no runs in {str(store)!r}; threadline run makes one.")
     else:
         header = ["run", "machine", "link", "ended", "this run", "proof", "late", "note"]
-        print_table(f"Runs in {store}", header, [listed(*one) for one in found])
+        print_table(f"Runs in {store}", header, [listed(*record) for record in records])
 
 
 def listed(record: RunRecord, folder: Path) -> list[str]:

@@ -48,8 +48,8 @@ def resolution_words(found: Fastest) -> str:
     if not found.step:
         return "tried at both ends alone: the plan keeps the machine's limits at every feed between"
     edges = "the edges" if found.every else "the upper edge"
-    below = "; slower intervals are as the steps have them, down to the lowest feed listed"
-    slower = "" if found.every else below
+    slower_text = "; slower intervals are as the steps have them, down to the lowest feed listed"
+    slower = "" if found.every else slower_text
     return (
         f"tried in steps of {100.0 * found.step:.2g} %, about {edges} of the fastest of "
         f"{100.0 * found.near_step:.2g} %: a narrower interval, or a gap in one, can be missed"
@@ -67,8 +67,8 @@ def alone_words(found: Fastest, unit: str, per_unit: float = 1.0) -> str:
     """
     if found.fastest is None or not found.alone:
         return ""
-    each = ", ".join(typed(feed * per_unit) for feed in found.alone)
-    text = f"in spec alone, out of it within {found.edge:.1%} on both sides: {each} {unit}"
+    feed_texts = ", ".join(typed(feed * per_unit) for feed in found.alone)
+    text = f"in spec alone, out of it within {found.edge:.1%} on both sides: {feed_texts} {unit}"
     return f"{text}; no range is in spec" if found.fastest.alone else text
 
 
@@ -105,11 +105,11 @@ def forbidden_words(
     if len(forbidden) < 2:
         yield f"{limited_by} fails at all"
     else:
-        each = (
+        span_texts = (
             f"{one.name}{' fails' if one is forbidden[0] else ''} {_span_words(one, feed_text)}"
             for one in forbidden
         )
-        yield ", ".join(each)
+        yield ", ".join(span_texts)
     repeated = sum(one.repeated for one in forbidden)
     if repeated:
         yield (
@@ -125,12 +125,12 @@ def _span_words(one: Forbidden, feed_text: Callable[[float], str]) -> str:
 
 def certainty_words(sure: Certainty) -> str:
     """Return the sentence on the speed lost by passing at the ends of the tolerances."""
-    both = [
+    texts = [
         "none" if best is None else f"{typed(best)} {sure.unit}" for best in (sure.sure, sure.alone)
     ]
     change = "" if sure.share is None else f": {abs(sure.share):.1%} slower"
     return (
-        f"what certainty costs: {both[0]} on all {sure.machines} machines, {both[1]} planned "
+        f"what certainty costs: {texts[0]} on all {sure.machines} machines, {texts[1]} planned "
         f"and judged for the machine as its file says{change}"
     )
 
@@ -181,15 +181,13 @@ def merged(rows: Sequence[Sequence[str]]) -> list[list[str]]:
     >>> merged([["100 %", "a"], ["50 %", "a"], ["25 %", "b"]])
     [['100 % to 50 %', 'a'], ['25 %', 'b']]
     """
-    found: list[tuple[str, str, list[str]]] = []  # first, last, common cells
+    runs: list[tuple[str, str, list[str]]] = []  # first, last, common cells
     for head, *rest in rows:
-        if found and found[-1][2] == rest:
-            found[-1] = (found[-1][0], head, rest)
+        if runs and runs[-1][2] == rest:
+            runs[-1] = (runs[-1][0], head, rest)
         else:
-            found.append((head, head, rest))
-    return [
-        [first if first == last else f"{first} to {last}", *rest] for first, last, rest in found
-    ]
+            runs.append((head, head, rest))
+    return [[first if first == last else f"{first} to {last}", *rest] for first, last, rest in runs]
 
 
 _GRBL_FIRST = 120  # $120 to $122: the accelerations of X, Y and Z; A, B and C follow
@@ -213,44 +211,44 @@ def settings_words(job: Job, machine: Machine, result: FastestJob) -> Iterator[s
     else:
         f_word = typed(60_000.0 * best.found.best)
         yield f"to set: F {f_word}, the speed {of_which(rule)}, in mm/min{mode}"
-    of_another = job.feed_rule.partition(":")[0] in RULES and job.feed_rule != rule
-    if result.by is FeedMode.FASTEST_AXIS and of_another:
+    is_other_rule = job.feed_rule.partition(":")[0] in RULES and job.feed_rule != rule
+    if result.by is FeedMode.FASTEST_AXIS and is_other_rule:
         other = f"{of_which(job.feed_rule)} (feed mode {job.feed_rule})"
         yield f"F of this job is another speed: {other}"
     if len(result.rungs) + len(result.left_out) < _SEARCHED:
         return
     shares = []
     for name, axis in machine.axes.items():
-        turns = axis.kind == "rotary"
-        value = axis.acceleration.si * best.share * (math.degrees(1.0) if turns else 1e3)
-        unit = "deg/s^2" if turns else "mm/s^2"
+        is_rotary = axis.kind == "rotary"
+        value = axis.acceleration.si * best.share * (math.degrees(1.0) if is_rotary else 1e3)
+        unit = "deg/s^2" if is_rotary else "mm/s^2"
         setting = f"{name} {value:.4g} {unit}"
         if isinstance(machine.planner, GrblPlanner) and name in _GRBL_AXES:
             setting = f"${_GRBL_FIRST + _GRBL_AXES.index(name)}={value:.3f} ({name}, {unit})"
         shares.append(setting)
-    where = ""
+    command_text = ""
     if machine.planner is not None and not isinstance(machine.planner, GrblPlanner):
-        where = " (max_accel)" if isinstance(machine.planner, KlipperPlanner) else " (M201)"
-    yield f"accelerations{where}: {', '.join(shares)}"
+        command_text = " (max_accel)" if isinstance(machine.planner, KlipperPlanner) else " (M201)"
+    yield f"accelerations{command_text}: {', '.join(shares)}"
 
 
 def show_mismatch(cells: Sequence[Mismatch], title: str, searched: Searched) -> None:
     """Print the fastest result for masses and stiffnesses at the ends of their tolerances."""
     names = {-1.0: "lower end", 0.0: "as in the file", 1.0: "upper end"}
-    ranges = any(cell.intervals for cell in cells)
+    has_ranges = any(cell.intervals for cell in cells)
     rows = [
         [
             names[cell.mass],
             names[cell.stiffness],
             "none" if cell.best is None else f"{searched.per_unit * cell.best:.2f}",
-            *([_in_spec(cell, searched)] if ranges else []),
+            *([_in_spec(cell, searched)] if has_ranges else []),
             limit_words(cell.limited_by),
         ]
         for cell in cells
     ]
     best = f"{searched.best} {searched.unit}"
-    all_of = [f"in spec {searched.unit}"] if ranges else []
-    header = ["mass of loads", "stiffness of springs", best, *all_of, "limited by"]
+    range_header = [f"in spec {searched.unit}"] if has_ranges else []
+    header = ["mass of loads", "stiffness of springs", best, *range_header, "limited by"]
     print_table(
         f"{title}: planned for the file, {searched.done} off its tolerances, one run each",
         header,

@@ -182,33 +182,37 @@ def shaper(
     --tick "10 ms"
     """
     moving = move is not None or acceleration is not None
-    seen = _measured(measured, mode, axis, damping)
-    wide = band is None and (moving or tick is not None or kind in BANDED)
-    of_modes = modes_of(mode or [], damping) if seen is None else (seen.given(banded=wide),)
-    modes = tuple(one.mode for one in of_modes)
+    measurement = _measured(measured, mode, axis, damping)
+    needs_band = band is None and (moving or tick is not None or kind in BANDED)
+    given_modes = (
+        modes_of(mode or [], damping)
+        if measurement is None
+        else (measurement.given(banded=needs_band),)
+    )
+    modes = tuple(one.mode for one in given_modes)
     if still is not None and not moving:
         raise OptionError(
             "--still needs a move", remedy="Add --move and --acceleration, or leave it out."
         )
-    own_band = next((one.band for one in of_modes if one.band is not None), None)
-    said_band = band if own_band is None else own_band
-    if said_band is not None and not (moving or tick is not None or kind in BANDED):
+    own_band = next((one.band for one in given_modes if one.band is not None), None)
+    band_given = band if own_band is None else own_band
+    if band_given is not None and not (moving or tick is not None or kind in BANDED):
         raise OptionError(
-            f"--band {said_band:g} has no effect on the kind {kind}"
+            f"--band {band_given:g} has no effect on the kind {kind}"
             if own_band is None
             else f"the band of a --mode, {own_band * 100:.4g}%, has no effect on the kind {kind}",
             remedy="Add --tick or --move, or choose --kind si or um-si.",
         )
     if band is None and kind in BANDED:
         band = _SI_BAND
-    bands, tolerances = bands_of(of_modes, band or 0.0), tolerances_of(of_modes, tolerance)
+    bands, tolerances = bands_of(given_modes, band or 0.0), tolerances_of(given_modes, tolerance)
     firmware = _firmware(firmware, klipper, len(modes))
     klipper = firmware == "klipper"
     if klipper and len(modes) > 1:
-        of_one_train = (tick, move, acceleration, report)
-        shape_two_axes(kind, of_modes, tolerances, bands, of_one_train, json)
+        one_train_options = (tick, move, acceleration, report)
+        shape_two_axes(kind, given_modes, tolerances, bands, one_train_options, json)
         return
-    made = designed(kind, modes, tolerances, bands)
+    designed_shaper = designed(kind, modes, tolerances, bands)
     realised = None
     tick_s = None if tick is None else parse_number("--tick", tick, "s", "10 ms")
     if tick_s is None:
@@ -227,60 +231,70 @@ def shaper(
             amplitudes_free=free,
         )
         realised = realise(
-            made,
+            designed_shaper,
             modes,
             limits,
-            relative=[band if one.band is None else one.band for one in of_modes],
+            relative=[band if one.band is None else one.band for one in given_modes],
             tolerance=tolerances,
         )
-        made = realised.shaper
-        refuse_worse_than_none(made, modes)
-    asked_of = tuple(zip(modes, bands, tolerances, strict=True))
+        designed_shaper = realised.shaper
+        refuse_worse_than_none(designed_shaper, modes)
+    requirements = tuple(zip(modes, bands, tolerances, strict=True))
     warnings = damping_warnings(modes) if firmware else list(suspicions(modes))
-    warnings += [*_spoiled(realised), *(missed(made, asked_of) if kind in BANDED else ())]
+    warnings += [
+        *_spoiled(realised),
+        *(missed(designed_shaper, requirements) if kind in BANDED else ()),
+    ]
     # A train of positive amplitudes amplifies at no frequency.
-    for one in modes if bool((made.amplitudes < 0.0).any()) else ():
+    for one in modes if bool((designed_shaper.amplitudes < 0.0).any()) else ():
         others = [other for other in modes if other is not one]
-        warnings += [w for w in check_higher_modes(made, one, others).warnings if w not in warnings]
-    if seen is not None:
-        warnings += measured_warnings(seen, made, chosen=axis is not None)
-    studied = None
+        warnings += [
+            w
+            for w in check_higher_modes(designed_shaper, one, others).warnings
+            if w not in warnings
+        ]
+    if measurement is not None:
+        warnings += measured_warnings(measurement, designed_shaper, chosen=axis is not None)
+    move_study = None
     if moving:
-        made_for = rest_to_rest(move, acceleration, modes)
+        rest_move = rest_to_rest(move, acceleration, modes)
         with progress_bar(not json) as progress:
-            studied = study_move(
-                made_for,
-                made,
-                relative=bands_of(of_modes, _SI_BAND if band is None else band),
+            move_study = study_move(
+                rest_move,
+                designed_shaper,
+                relative=bands_of(given_modes, _SI_BAND if band is None else band),
                 tolerance=_STILL if still is None else still,
                 tick_s=tick_s,
                 dwell_s=0.0 if dwell is None else parse_number("--dwell", dwell, "s", "20 ms"),
                 progress=progress,
             )
     answer = _Answer(
-        shaper=made,
+        shaper=designed_shaper,
         modes=modes,
         tolerances=tolerances,
         realised=realised,
         widths=tuple(
-            insensitivity(made, one, own) for one, own in zip(modes, tolerances, strict=True)
+            insensitivity(designed_shaper, one, mode_tolerance)
+            for one, mode_tolerance in zip(modes, tolerances, strict=True)
         ),
-        firmware=None if firmware is None else (firmware, _export(firmware, made, modes[0], seen)),
+        firmware=None
+        if firmware is None
+        else (firmware, _export(firmware, designed_shaper, modes[0], measurement)),
         warnings=tuple(warnings),
-        study=studied,
-        measured=seen,
+        study=move_study,
+        measured=measurement,
     )
     written = (
         None
         if report is None
         else write_shaper(
-            made,
+            designed_shaper,
             modes,
             tolerances,
             _tables(answer),
             warnings,
             report,
-            None if seen is None else measured_power(seen, made),
+            None if measurement is None else measured_power(measurement, designed_shaper),
         )
     )
     if json:
@@ -290,8 +304,8 @@ def shaper(
 
 
 def _print(answer: _Answer, written: Path | None) -> None:
-    for said in answer.warnings:
-        warning(said)
+    for text in answer.warnings:
+        warning(text)
     for table in _tables(answer):
         print_table(table.title, table.header, table.rows)
     for line in curve_lines(answer.shaper, answer.modes, answer.tolerances):
@@ -351,16 +365,16 @@ def _cost(answer: _Answer) -> list[list[str]]:
         ["a shaped step goes beyond 0 ... 1 by", f"{without_noise(train.over_level):.4g}"],
     ]
     if answer.realised is not None:
-        made = answer.realised
+        ticked = answer.realised
         rows += [
-            ["on ticks", " ".join(map(str, made.ticks))],
+            ["on ticks", " ".join(map(str, ticked.ticks))],
             [
-                f"{'longer' if made.time_price_s >= 0.0 else 'shorter'} than the exact train by",
-                f"{abs(made.time_price_s) * 1e3:.3f} ms",
+                f"{'longer' if ticked.time_price_s >= 0.0 else 'shorter'} than the exact train by",
+                f"{abs(ticked.time_price_s) * 1e3:.3f} ms",
             ],
             [
                 "rings more than that at the modes by",
-                f"{without_noise(made.vibration_price) * 100:.3g} %",
+                f"{without_noise(ticked.vibration_price) * 100:.3g} %",
             ],
         ]
     return rows
@@ -427,9 +441,11 @@ def _measured(
     return read_measured(path, axis, damping)
 
 
-def _export(name: str, made: Shaper, mode: FlexibleMode, seen: Measured | None) -> FirmwareExport:
-    if name == "klipper" and seen is not None and seen.found.axis in "xy":
-        return klipper_export(made, mode, axes=seen.found.axis)
+def _export(
+    name: str, made: Shaper, mode: FlexibleMode, measurement: Measured | None
+) -> FirmwareExport:
+    if name == "klipper" and measurement is not None and measurement.found.axis in "xy":
+        return klipper_export(made, mode, axes=measurement.found.axis)
     return _EXPORTS[name](made, mode)
 
 
@@ -458,17 +474,17 @@ def register(app: typer.Typer) -> None:
 
 def _spoiled(realised: Realised | None) -> list[str]:
     """Return warnings for shapers that the controller's ticks have spoiled."""
-    found = []
-    for over in () if realised is None else realised.bands:
-        if over.made >= 1.0:
-            found.append(
-                f"on these ticks the shaper leaves up to {over.made * 100:.3g} % within its band "
-                f"about {over.mode.frequency_hz:g} Hz, more than no shaper at all: take a shorter "
+    warnings = []
+    for band in () if realised is None else realised.bands:
+        if band.made >= 1.0:
+            warnings.append(
+                f"on these ticks the shaper leaves up to {band.made * 100:.3g} % within its band "
+                f"about {band.mode.frequency_hz:g} Hz, more than no shaper at all: take a shorter "
                 "tick or --dwell, or another kind"
             )
-        elif over.made_width == 0.0:
-            found.append(
+        elif band.made_width == 0.0:
+            warnings.append(
                 "on these ticks the shaper leaves more than its tolerance of "
-                f"{over.tolerance * 100:.3g} % at {over.mode.frequency_hz:g} Hz itself"
+                f"{band.tolerance * 100:.3g} % at {band.mode.frequency_hz:g} Hz itself"
             )
-    return found
+    return warnings

@@ -55,8 +55,8 @@ class Measured:
     @property
     def band(self) -> float:
         """Half width of the band to design for, as a share of the frequency."""
-        known = self.found.frequency_hz
-        return min(max(known.half_width / known.value, LEAST_BAND), 0.99)
+        frequency = self.found.frequency_hz
+        return min(max(frequency.half_width / frequency.value, LEAST_BAND), 0.99)
 
     def given(self, *, banded: bool) -> GivenMode:
         """Return the mode as ``--mode`` would give it."""
@@ -64,10 +64,12 @@ class Measured:
 
     def worst(self, train: Shaper) -> float:
         """Return the largest vibration over the intervals of frequency and damping."""
-        f, ratio = self.found.frequency_hz, self.found.damping_ratio
-        hertz = np.linspace(f.low, f.high, _GRID)
+        frequency, ratio = self.found.frequency_hz, self.found.damping_ratio
+        frequencies_hz = np.linspace(frequency.low, frequency.high, _GRID)
         ratios = np.linspace(max(ratio.low, 0.0), min(ratio.high, _MOST_DAMPED), _GRID)
-        return max(float(residual_vibration(train, hertz, one).max()) for one in ratios.tolist())
+        return max(
+            float(residual_vibration(train, frequencies_hz, one).max()) for one in ratios.tolist()
+        )
 
 
 def read_measured(path: Path, axis: str | None, damping: Sequence[float] | None) -> Measured:
@@ -100,20 +102,20 @@ def measured_warnings(measured: Measured, train: Shaper, *, chosen: bool) -> Ite
     found = measured.found
     own = found.shares[AXES.index(found.axis)]
     most = AXES[int(np.argmax(found.shares))]
-    at = found.frequency_hz.value
+    mode_hz = found.frequency_hz.value
     if own < _MINOR and most != found.axis:
         yield (
-            f"at {at:.4g} Hz {found.axis} has {own * 100:.2g} % of the power and {most} has "
+            f"at {mode_hz:.4g} Hz {found.axis} has {own * 100:.2g} % of the power and {most} has "
             f"{max(found.shares) * 100:.2g} %: the mode swings along {most}, or the sensor is "
             "turned"
         )
     if not chosen:
         yield f"the axis shaken is taken to be {found.axis}; name it with --axis"
     for hz, height in found.others:
-        left = float(residual_vibration(train, np.array([hz]), found.damping_ratio.value)[0])
+        residual = float(residual_vibration(train, np.array([hz]), found.damping_ratio.value)[0])
         yield (
             f"{found.axis} has another peak at {hz:.4g} Hz, {height * 100:.2g} % as high; shaper "
-            f"{train.name!r} leaves {left * 100:.2g} % there"
+            f"{train.name!r} leaves {residual * 100:.2g} % there"
         )
 
 
@@ -121,10 +123,10 @@ def measured_tables(measured: Measured, train: Shaper) -> list[Table]:
     """Return tables of the mode, and of Klipper's choice beside ``train``."""
     found = measured.found
     f, ratio = found.frequency_hz, found.damping_ratio
-    given = "given" if ratio.half_width == 0.0 else f"{ratio.low:.4g} to {ratio.high:.4g}"
+    interval_text = "given" if ratio.half_width == 0.0 else f"{ratio.low:.4g} to {ratio.high:.4g}"
     mode = [
         ["undamped frequency, Hz", f"{f.value:.5g}", f"{f.low:.5g} to {f.high:.5g}"],
-        ["damping ratio", f"{ratio.value:.4g}", given],
+        ["damping ratio", f"{ratio.value:.4g}", interval_text],
     ]
     rows = [
         [
@@ -138,14 +140,14 @@ def measured_tables(measured: Measured, train: Shaper) -> list[Table]:
         for one in dict.fromkeys((*measured.best, measured.choice))
         if one is measured.choice or one.shaper_type != measured.choice.shaper_type
     ]
-    left, most = klipper_measures(train, measured.frequency_hz, measured.power)
-    own = [
+    vibration, max_accel = klipper_measures(train, measured.frequency_hz, measured.power)
+    own_row = [
         f"this design: {train.name}",
         f"{f.value:.2f}",
-        f"{without_noise(left) * 100:.2f} %",
+        f"{without_noise(vibration) * 100:.2f} %",
         f"{without_noise(measured.worst(train)) * 100:.2f} %",
         f"{train.duration_s * 1e3:.2f}",
-        f"{round(most, -2):.0f}",
+        f"{round(max_accel, -2):.0f}",
     ]
     x, y, z = (f"{share * 100:.3g} %" for share in found.shares)
     return [
@@ -158,7 +160,7 @@ def measured_tables(measured: Measured, train: Shaper) -> list[Table]:
         Table(
             title="Beside Klipper's own shapers",
             header=("shaper", "Hz", "left, Klipper", "left, worst", "ms", "max_accel mm/s^2"),
-            rows=[own, *rows],
+            rows=[own_row, *rows],
             note="'left, Klipper' is by its own measure, over the whole spectrum at damping "
             "ratios 0.075 to 0.15; 'left, worst' is the vibration over the intervals above.",
         ),
@@ -169,7 +171,7 @@ def measured_content(measured: Measured, train: Shaper) -> dict[str, Any]:
     """Return the mode and Klipper's choice as JSON content."""
     found = measured.found
     choice = measured.choice
-    left, most = klipper_measures(train, measured.frequency_hz, measured.power)
+    vibration, max_accel = klipper_measures(train, measured.frequency_hz, measured.power)
     return {
         "axis": found.axis,
         "frequency_hz": found.frequency_hz.value,
@@ -179,8 +181,8 @@ def measured_content(measured: Measured, train: Shaper) -> dict[str, Any]:
         "power_shares": dict(zip(AXES, found.shares, strict=True)),
         "other_peaks": [{"frequency_hz": f, "height": h} for f, h in found.others],
         "worst_vibration": measured.worst(train),
-        "klipper_vibration": left,
-        "klipper_max_accel_mm_s2": most,
+        "klipper_vibration": vibration,
+        "klipper_max_accel_mm_s2": max_accel,
         "klipper_choice": _fit_content(measured, choice),
         "klipper_tried": [_fit_content(measured, one) for one in measured.best],
     }
@@ -201,7 +203,7 @@ def _fit_content(measured: Measured, one: KlipperFit) -> dict[str, Any]:
 def measured_power(measured: Measured, train: Shaper) -> MeasuredPower:
     """Return the contents of the figure of a measurement in the report."""
     found, choice = measured.found, measured.choice
-    named = f"Klipper's {choice.shaper_type} at {choice.frequency_hz:.1f} Hz"
+    train_name = f"Klipper's {choice.shaper_type} at {choice.frequency_hz:.1f} Hz"
     return MeasuredPower(
         axis=found.axis,
         lines_hz=found.lines_hz,
@@ -209,6 +211,6 @@ def measured_power(measured: Measured, train: Shaper) -> MeasuredPower:
         fitted=found.fitted,
         spectrum_hz=measured.frequency_hz,
         spectrum=measured.power,
-        trains=(train, replace(choice.train, name=named)),
+        trains=(train, replace(choice.train, name=train_name)),
         damping_ratio=found.damping_ratio.value,
     )

@@ -42,26 +42,32 @@ def study_tables(study: MoveStudy) -> list[Table]:
     """Return the tables of a move study."""
     best, robust = study.optimal.duration_s, study.robust.duration_s
     found = study.switched
-    timed = [
+    durations = [
         ("time-optimal", best, _worst(study, study.optimal)),
         *((m.name, m.duration_s, m.worst_step) for m in study.moves),
         ("robust optimum, free levels", robust, _worst(study, study.robust)),
     ]
     if found is not None and found.switched is not None:
-        timed.append(("on/off, on the tick", found.duration_s, found.switched))
+        durations.append(("on/off, on the tick", found.duration_s, found.switched))
     rows = [
-        [name, f"{took:.6f}", f"{took / best:.3f}", f"{took / robust:.3f}", _percent(worst)]
-        for name, took, worst in timed
+        [
+            name,
+            f"{duration_s:.6f}",
+            f"{duration_s / best:.3f}",
+            f"{duration_s / robust:.3f}",
+            _percent(worst),
+        ]
+        for name, duration_s, worst in durations
     ]
-    bands = dict.fromkeys(f"+-{half * 100:.4g}%" for half in study.relative)
+    bands = dict.fromkeys(f"+-{half_band * 100:.4g}%" for half_band in study.relative)
     band = next(iter(bands)) if len(bands) == 1 else "its band"
-    asked = dict.fromkeys(
-        f"{most:.3g} of a step over +-{half * 100:.4g}%"
-        for most, half in zip(study.tolerance, study.relative, strict=True)
+    requirement_texts = dict.fromkeys(
+        f"{allowed:.3g} of a step over +-{half_band * 100:.4g}%"
+        for allowed, half_band in zip(study.tolerance, study.relative, strict=True)
     )
     title = (
         f"A move of {study.move.distance_m * 1e3:g} mm at {study.move.acceleration_m_s2:g} m/s2, "
-        f"at most {' and '.join(asked)}"
+        f"at most {' and '.join(requirement_texts)}"
     )
     tables = [
         Table(

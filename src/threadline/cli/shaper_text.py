@@ -80,12 +80,12 @@ def modes_of(texts: Sequence[str], damping: Sequence[float] | None) -> tuple[Giv
             f"{len(texts)} modes have {len(ratios)} damping ratios",
             remedy="Give --damping once, or once for each --mode.",
         )
-    found = tuple(
+    modes = tuple(
         _given_mode(text, ratio, given=damping is not None)
         for text, ratio in zip(texts, ratios, strict=True)
     )
-    _refuse_overlaps(found)
-    return found
+    _refuse_overlaps(modes)
+    return modes
 
 
 def _given_mode(text: str, ratio: float, *, given: bool) -> GivenMode:
@@ -166,10 +166,10 @@ def refuse_worse_than_none(made: Shaper, modes: Sequence[FlexibleMode]) -> None:
         Names the mode and its vibration.
     """
     for mode in modes:
-        left = vibration_of(made, mode)
-        if left >= 1.0:
+        vibration = vibration_of(made, mode)
+        if vibration >= 1.0:
             raise OptionError(
-                f"on these ticks shaper {made.name!r} leaves {left * 100:.3g} % at "
+                f"on these ticks shaper {made.name!r} leaves {vibration * 100:.3g} % at "
                 f"{mode.frequency_hz:g} Hz itself, more than no shaper at all",
                 remedy="Take a shorter --tick or --dwell, or another kind.",
             )
@@ -178,16 +178,16 @@ def refuse_worse_than_none(made: Shaper, modes: Sequence[FlexibleMode]) -> None:
 def missed(made: Shaper, modes: Sequence[tuple[FlexibleMode, float, float]]) -> Iterator[str]:
     """Yield a warning for each mode at which a train exceeds the tolerance within the band."""
     for mode, band, tolerance in modes:
-        parts = np.linspace(1.0 - band, 1.0 + band, _IN_BAND)
-        left = [
-            vibration_of(made, replace(mode, frequency_hz=mode.frequency_hz * part))
-            for part in parts.tolist()
+        frequency_ratios = np.linspace(1.0 - band, 1.0 + band, _IN_BAND)
+        vibrations = [
+            vibration_of(made, replace(mode, frequency_hz=mode.frequency_hz * ratio))
+            for ratio in frequency_ratios.tolist()
         ]
-        worst = int(np.argmax(left))
-        if left[worst] > tolerance * _ROUNDED:
+        worst_index = int(np.argmax(vibrations))
+        if vibrations[worst_index] > tolerance * _ROUNDED:
             yield (
-                f"shaper {made.name!r} leaves {left[worst] * 100:.3g} % at "
-                f"{mode.frequency_hz * parts[worst]:.4g} Hz, within the band of "
+                f"shaper {made.name!r} leaves {vibrations[worst_index] * 100:.3g} % at "
+                f"{mode.frequency_hz * frequency_ratios[worst_index]:.4g} Hz, within the band of "
                 f"+-{band * 100:.4g}% about {mode.frequency_hz:g} Hz, more than the "
                 f"{tolerance * 100:.3g} % that were asked"
             )
@@ -212,30 +212,30 @@ def designed(
             raise OptionError(
                 f"--kind {kind} needs the band of frequency", remedy="Add --band 0.2."
             )
-        wanted = [Requirement(*one) for one in zip(modes, tolerances, bands, strict=True)]
+        requirements = [Requirement(*word) for word in zip(modes, tolerances, bands, strict=True)]
         if kind == "um-si":
-            return unit_magnitude_over_bands(wanted)
-        return direct_shaper(wanted, name="si")
+            return unit_magnitude_over_bands(requirements)
+        return direct_shaper(requirements, name="si")
     if kind == "direct":
         return direct_shaper([Requirement(m) for m in modes])
     if kind == "um-direct":
         return direct_unit_magnitude([Requirement(m) for m in modes])
     kinds = [part.strip() for part in kind.split("*")]
-    for one in kinds:
-        if one not in list(ShaperKind) and mzv_shape(one) is None:
-            whole = "" if len(kinds) == 1 else f" in {kind!r}"
-            alone = " It cannot be convolved." if one in KINDS else ""
+    for word in kinds:
+        if word not in list(ShaperKind) and mzv_shape(word) is None:
+            place = "" if len(kinds) == 1 else f" in {kind!r}"
+            rule = " It cannot be convolved." if word in KINDS else ""
             raise OptionError(
-                f"shaper kind {one!r}{whole} is unknown"
-                if not alone
-                else f"shaper kind {one!r}{whole} is made for all modes at once and stands alone",
-                remedy=f"Kinds: {', '.join(ShaperKind if alone else KINDS)}.",
+                f"shaper kind {word!r}{place} is unknown"
+                if not rule
+                else f"shaper kind {word!r}{place} is made for all modes at once and stands alone",
+                remedy=f"Kinds: {', '.join(ShaperKind if rule else KINDS)}.",
             )
     return convolve(
         *(
-            design(one, mode, tolerance=own)
-            for mode, own in zip(modes, tolerances, strict=True)
-            for one in kinds
+            design(word, mode, tolerance=mode_tolerance)
+            for mode, mode_tolerance in zip(modes, tolerances, strict=True)
+            for word in kinds
         )
     )
 
@@ -243,15 +243,15 @@ def designed(
 def price_table(made: Realised) -> Table:
     """Return a table: vibration over every mode's band, exact and on the controller's ticks."""
     rows = []
-    for over in made.bands:
+    for band_price in made.bands:
         for name, worst, width in (
-            ("as designed", over.designed, over.designed_width),
-            ("times to the nearest ticks", over.nearest, over.nearest_width),
-            ("on these ticks", over.made, over.made_width),
+            ("as designed", band_price.designed, band_price.designed_width),
+            ("times to the nearest ticks", band_price.nearest, band_price.nearest_width),
+            ("on these ticks", band_price.made, band_price.made_width),
         ):
-            band = f"{over.low_hz:.4g} to {over.high_hz:.4g}"
-            within = f"{width:.4f} at {over.tolerance * 100:g} %"
-            rows.append([band, name, f"{without_noise(worst) * 100:.3g} %", within])
+            band = f"{band_price.low_hz:.4g} to {band_price.high_hz:.4g}"
+            width_text = f"{width:.4f} at {band_price.tolerance * 100:g} %"
+            rows.append([band, name, f"{without_noise(worst) * 100:.3g} %", width_text])
     return Table(
         title="Price of the controller over the band",
         header=("Hz", "train", "vibration at worst", "insensitivity"),
@@ -328,8 +328,8 @@ DEFAULT_DAMPING = 0.1
 
 def damping_warnings(modes: Sequence[FlexibleMode]) -> list[str]:
     """Return warnings for suspicious damping ratios, except Klipper's default."""
-    own = [mode for mode in modes if mode.damping_ratio != DEFAULT_DAMPING]
-    return list(suspicions(tuple(own)))
+    not_default = [mode for mode in modes if mode.damping_ratio != DEFAULT_DAMPING]
+    return list(suspicions(tuple(not_default)))
 
 
 def shape_two_axes(
@@ -363,20 +363,20 @@ def shape_two_axes(
             "--report take one",
             remedy="Leave them out, or give one --mode.",
         )
-    lines, found = _HEADER, {}
-    for axis, one, tolerance, band in zip("xy", modes, tolerances, bands, strict=True):
-        made = designed(kind, (one.mode,), (tolerance,), (band,))
-        export = klipper_export(made, one.mode, axes=axis)
-        found[axis] = export
+    lines, exports = _HEADER, {}
+    for axis, given_mode, tolerance, band in zip("xy", modes, tolerances, bands, strict=True):
+        made = designed(kind, (given_mode.mode,), (tolerance,), (band,))
+        export = klipper_export(made, given_mode.mode, axes=axis)
+        exports[axis] = export
         lines += export.section.removeprefix(_HEADER)
-    whole = lines if all(export.section for export in found.values()) else ""
+    section = lines if all(export.section for export in exports.values()) else ""
     if json:
-        notes = {axis: export.explanation for axis, export in found.items()}
-        print_json({"klipper": whole or None, "klipper_note": notes})
+        notes = {axis: export.explanation for axis, export in exports.items()}
+        print_json({"klipper": section or None, "klipper_note": notes})
         return
-    for said in damping_warnings([one.mode for one in modes]):
-        warning(said)
-    for axis, export in found.items():
+    for text in damping_warnings([given_mode.mode for given_mode in modes]):
+        warning(text)
+    for axis, export in exports.items():
         say(f"{axis.upper()}: {export.explanation}")
-    if whole:
-        say_lines(whole)
+    if section:
+        say_lines(section)

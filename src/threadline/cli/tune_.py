@@ -102,11 +102,11 @@ def tune_loops(
         keep_inputs(output, chosen.file, spec, *(job or ()))
     check_outputs(file=output)
     if amplifiers:
-        designing = {
+        design_options = {
             "--job": job, "--spec": spec, "--crossover": crossover, "--controller": controller,
             "--margin": margin, "--rule": rule,
         }  # fmt: skip
-        if given := [word for word, value in designing.items() if value]:
+        if given := [word for word, value in design_options.items() if value]:
             raise OptionError(
                 "--trim measures amplifiers and designs no controllers",
                 remedy=f"Leave out {', '.join(given)}.",
@@ -121,17 +121,17 @@ def tune_loops(
     if spec is not None and not job:
         raise OptionError("--spec is the specification of jobs", remedy="Add --job FILE.")
     kind = usual_controller(chosen) if controller is None else parse_controller(controller)
-    by = parse_rule(rule or "margin")
+    tuning_rule = parse_rule(rule or "margin")
     wanted = wanted_tuning(chosen, axis, margin or "60 deg", crossover)
-    judged = None if spec is None else load_spec(spec, chosen)
+    job_spec = None if spec is None else load_spec(spec, chosen)
     with progress_bar(not json) as progress:
-        found = tune(chosen, wanted, job or (), judged, progress)
+        tuning = tune(chosen, wanted, job or (), job_spec, progress)
     if output is not None:
-        write_tuned(found, kind, by, output)
+        write_tuned(tuning, kind, tuning_rule, output)
     if json:
-        print_json(found.content() | ({} if output is None else {"written": str(output)}))
+        print_json(tuning.content() | ({} if output is None else {"written": str(output)}))
         return
-    _show(found)
+    _show(tuning)
     if output is not None:
         say(f"Wrote {output}")
 
@@ -140,7 +140,7 @@ def _trim(
     machine: Machine,
     axis: str | None,
     amplitude: str | None,
-    over: tuple[str, str | None],
+    link_and_actual: tuple[str, str | None],
     output: Path | None,
     *,
     json: bool,
@@ -148,8 +148,8 @@ def _trim(
     linear = axis is None or axis not in machine.axes or machine.axes[axis].kind == "linear"
     if amplitude is not None and axis is None:
         raise OptionError("--amplitude is for one axis", remedy="Name it with --axis.")
-    link, actual = over
-    found = trim(
+    link, actual = link_and_actual
+    trims = trim(
         machine,
         () if axis is None else (axis,),
         link=link,
@@ -159,16 +159,16 @@ def _trim(
         else parse_quantity(amplitude, "m" if linear else "rad"),
     )
     if output is not None:
-        _write_gains(machine, found, output)
+        _write_gains(machine, trims, output)
     if json:
         content = {
-            one.axis: {
-                "factor": one.factor,
-                "interval": one.interval,
-                "speed_per_volt": one.speed_per_volt,
-                "wanted": one.wanted,
+            axis_trim.axis: {
+                "factor": axis_trim.factor,
+                "interval": axis_trim.interval,
+                "speed_per_volt": axis_trim.speed_per_volt,
+                "wanted": axis_trim.wanted,
             }
-            for one in found
+            for axis_trim in trims
         }
         print_json(
             {"machine": machine.name, "axes": content}
@@ -177,13 +177,13 @@ def _trim(
         return
     rows = [
         [
-            one.axis,
-            f"{one.speed_per_volt:.5g}",
-            f"{one.wanted:.5g}",
-            f"{one.factor:.4f}",
-            f"{100 * one.interval:.2g} %",
+            axis_trim.axis,
+            f"{axis_trim.speed_per_volt:.5g}",
+            f"{axis_trim.wanted:.5g}",
+            f"{axis_trim.factor:.4f}",
+            f"{100 * axis_trim.interval:.2g} %",
         ]
-        for one in found
+        for axis_trim in trims
     ]
     header = ["axis", "count/s/V", "wanted", "turn gain by", "95 %"]
     print_table("Amplifiers, from runs at constant speeds", header, rows)
@@ -194,12 +194,12 @@ def _trim(
 def _write_gains(machine: Machine, found: tuple[AxisTrim, ...], file: Path) -> None:
     """Write a machine file with the gains as they were found, before any potentiometer turns."""
     numbers = {}
-    for one in found:
-        path = f"drives.{one.drive}.amplifier.gain"
+    for axis_trim in found:
+        path = f"drives.{axis_trim.drive}.amplifier.gain"
         old = number_at(machine, path)
-        percent = max(100.0 * one.interval, 0.01)
+        percent = max(100.0 * axis_trim.interval, 0.01)
         numbers[path] = (
-            f"{old.si / one.factor:.6g} {old.unit}".strip()
+            f"{old.si / axis_trim.factor:.6g} {old.unit}".strip()
             + f" +- {percent:.2g} %, measured: threadline tune --trim"
         )
     lines = [
@@ -237,16 +237,16 @@ def _show(found: Tuning) -> None:
 
 def _rows(axis: TunedAxis) -> list[list[str]]:
     rows = []
-    for one in axis.loops:
-        figures = one.figures.as_json()
-        gains = " ".join(f"{key} {value:.4g}" for key, value in one.gains.items())
-        if not one.figures.stable:
-            rows.append([one.name, gains, "unstable", *["-"] * 6])
+    for loop in axis.loops:
+        figures = loop.figures.as_json()
+        gains = " ".join(f"{key} {value:.4g}" for key, value in loop.gains.items())
+        if not loop.figures.stable:
+            rows.append([loop.name, gains, "unstable", *["-"] * 6])
             continue
-        worst, step = one.worst, one.step
+        worst, step = loop.worst, loop.step
         rows.append(
             [
-                one.name,
+                loop.name,
                 gains,
                 _number(figures["crossover_hz"], ".1f"),
                 _number(figures["phase_margin_deg"], ".1f"),

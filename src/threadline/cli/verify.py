@@ -39,30 +39,32 @@ def verify(
     Example: threadline verify x-180.proof.json
     """
     secret = None if key is None else read_key(key)
-    known = read_proof(proof, secret)
-    differences = verify_proof(known)
+    proof_read = read_proof(proof, secret)
+    differences = verify_proof(proof_read)
     if differences:
         raise ProofError(
             f"the proof does not match its files any more: {'; '.join(map(str, differences))}",
             place=Place(str(proof)),
             remedy="Prove the job again.",
         )
-    signature = "none" if not known.signed else "good" if secret is not None else "not checked"
+    signature = "none" if not proof_read.signed else "good" if secret is not None else "not checked"
     if json:
         print_json(
             {
                 "proof": str(proof),
-                "passed": known.passed,
-                "level": known.level,
+                "passed": proof_read.passed,
+                "level": proof_read.level,
                 "signature": signature,
             }
         )
     else:
-        alone = known.level == Level.LIMITS.value
-        verdict = "out of spec" if not known.passed else "limits kept" if alone else "in spec"
-        say(f"{proof.name}: nothing has changed since it was proved; {verdict}, {known.level}")
+        limits_only = proof_read.level == Level.LIMITS.value
+        verdict = (
+            "out of spec" if not proof_read.passed else "limits kept" if limits_only else "in spec"
+        )
+        say(f"{proof.name}: nothing has changed since it was proved; {verdict}, {proof_read.level}")
         say(_SIGNED[signature])
-    raise typer.Exit(0 if known.passed else 1)
+    raise typer.Exit(0 if proof_read.passed else 1)
 
 
 def register(app: typer.Typer) -> None:

@@ -101,44 +101,46 @@ def wind(
     if definition is not None:
         check_wind(winding)
     found = None if bare is None else bare_of(winding)
-    laid = design(winding) if found is None else found.laid
+    layers = design(winding) if found is None else found.laid
     written, left_out, program = None, [], ""
     with together(bare, deck, definition, out):
         if bare is not None and found is not None:
             write_meridian(bare, found.points)
         if deck is not None:
-            _write_deck(deck, winding, laid, inside_pa)
+            _write_deck(deck, winding, layers, inside_pa)
         if definition is not None:
-            left_out = write_wind(definition, laid)
+            left_out = write_wind(definition, layers)
         if out is not None and machine is not None:
-            program, warnings = _write_program(winding, laid, machine, out, dialect)
+            program, warnings = _write_program(winding, layers, machine, out, dialect)
             left_out += warnings
         if report is not None:
             from threadline.report.wound import write_sheet
 
-            written = write_sheet(winding, laid, report)
+            written = write_sheet(winding, layers, report)
     if json:
-        print_json(_content(winding, laid) | ({} if written is None else {"report": str(written)}))
-        return
-    for one in laid:
-        shown = one.table if every else one.table[:_SHOWN]
-        print_table(
-            f"Layer {one.layer.number}: patterns that close, the nearest to a geodesic first",
-            ("circuits/shift", "beside", "ahead", "turns", "coverage", "off a circuit", "note"),
-            [_row(one, pattern) for pattern in shown],
+        print_json(
+            _content(winding, layers) | ({} if written is None else {"report": str(written)})
         )
-        if len(shown) < len(one.table):
-            say(f"{len(one.table) - len(shown)} more: --all")
+        return
+    for layer in layers:
+        shown = layer.table if every else layer.table[:_SHOWN]
+        print_table(
+            f"Layer {layer.layer.number}: patterns that close, the nearest to a geodesic first",
+            ("circuits/shift", "beside", "ahead", "turns", "coverage", "off a circuit", "note"),
+            [_row(layer, pattern) for pattern in shown],
+        )
+        if len(shown) < len(layer.table):
+            say(f"{len(layer.table) - len(shown)} more: --all")
     print_table(
         f"{winding.product.name}: what is wound",
         ("layer", "angle", "turns at", "pattern", "closed by", "slip tendency", "fibre", "dwells",
          "mass", "thickness", "at most"),
-        [_summary(one) for one in laid],
+        [_summary(layer) for layer in layers],
     )  # fmt: skip
-    sheet = sheet_of(winding, laid)
+    sheet = sheet_of(winding, layers)
     print_table(f"{sheet.title}: the sheet", sheet.header(), sheet.table())
     say(sheet.note())
-    laminate = wound_laminate(laid)
+    laminate = wound_laminate(layers)
     if laminate is not None:
         print_table("Laminate at the largest radius", ("", ""), laminate.rows())
     if written is not None:
@@ -154,8 +156,8 @@ def wind(
         say(f"Program: {out}: {program}")
     if definition is not None:
         say(f"FiberPath's definition: {definition}")
-    for said in [*left_out, *filter(None, map(bridged, laid)), *sheet_warnings(winding, sheet)]:
-        warning(said)
+    for text in [*left_out, *filter(None, map(bridged, layers)), *sheet_warnings(winding, sheet)]:
+        warning(text)
 
 
 def _check_program(product: Path, machine: str | None, out: Path | None, bare: Path | None) -> None:
@@ -191,22 +193,22 @@ def _pressure(text: str | None, deck: Path | None) -> float:
     """Return the internal pressure of the shell model, Pa."""
     if text is not None and deck is None:
         raise OptionError("--pressure is the load of a shell model", remedy="Add --deck NAME.inp.")
-    found = parse_number("--pressure", text or "10 bar", "Pa", "10 bar")
-    if not 0.0 < found <= _MOST_PA:
+    pressure_pa = parse_number("--pressure", text or "10 bar", "Pa", "10 bar")
+    if not 0.0 < pressure_pa <= _MOST_PA:
         raise OptionError(
             f"--pressure {text!r}: it must be above 0 and at most 10000 bar",
             remedy='Like --pressure "10 bar".',
         )
-    return found
+    return pressure_pa
 
 
 def _row(laid: Laid, pattern: Pattern) -> list[str]:
-    ways = [
+    closings = [
         ("friction {:+.5f}", pattern.ratio),
         ("turning at {:.3f} mm", 1e3 * pattern.constant_m),
         ("a dwell of {:.4g} deg", math.degrees(pattern.dwell)),
     ]
-    closed = " or ".join(text.format(value) for text, value in ways if not math.isnan(value))
+    closed = " or ".join(text.format(value) for text, value in closings if not math.isnan(value))
     mark = "*" if pattern is laid.pattern else ""
     return [
         f"{pattern.circuits}/{pattern.shift}{mark}", f"{pattern.beside}",

@@ -166,65 +166,65 @@ def yield_(
             record = record_of(question, part_identity(judged.plan, judged_spec), part)
             finish_part(drawing.output, record, found, json=json)
             raise typer.Exit(0)
-        bad = judged.worst(found, counted(progress, "looking for the worst machine"))
+        worst_machine = judged.worst(found, counted(progress, "looking for the worst machine"))
         sensitivities = sensitivities_of(judged, variants, seed, progress) if drawing.why else None
-        enough = found.passed == variants if wanted is None else found.interval[0] >= wanted
-        better = None
-        if wanted is not None and not enough:
-            better = _cheapest(judged, wanted, question, progress)
+        is_enough = found.passed == variants if wanted is None else found.interval[0] >= wanted
+        cheapest = None
+        if wanted is not None and not is_enough:
+            cheapest = _cheapest(judged, wanted, question, progress)
         level = Level.DRAWN
         title = f"{judged.plan.job.name} on {chosen.name}: {_words(found, level)}"
         with together(worst):
             if worst is not None:
-                write_worst(chosen, bad, worst, "yield")
-            drawn = None if report is None else _drawn(found, title, report)
-    proving = command_line(
+                write_worst(chosen, worst_machine, worst, "yield")
+            picture = None if report is None else _drawn(found, title, report)
+    prove_command = command_line(
         "prove",
         question.job,
         {"-m": question.machine, "--actual": worst, **question.words.typed(), "--nominal": ""},
     )
     if json:
-        more: dict[str, Any] = {} if drawn is None else {"report": str(drawn)}
-        more |= {} if worst is None else {"command": proving}
-        more |= {} if better is None else {"cheapest": set_content(better, judged)}
-        print_json(_content(found, bad, judged, sensitivities, level) | more)
-        raise typer.Exit(0 if enough else 1)
-    _show(found, bad, judged, sensitivities, title)
+        extra: dict[str, Any] = {} if picture is None else {"report": str(picture)}
+        extra |= {} if worst is None else {"command": prove_command}
+        extra |= {} if cheapest is None else {"cheapest": set_content(cheapest, judged)}
+        print_json(_content(found, worst_machine, judged, sensitivities, level) | extra)
+        raise typer.Exit(0 if is_enough else 1)
+    _show(found, worst_machine, judged, sensitivities, title)
     say(_words(found, level))
-    if better is not None:
-        show_set(better, judged, at_least or "")
+    if cheapest is not None:
+        show_set(cheapest, judged, at_least or "")
     if worst is not None:
         say(f"Worst machine: {worst}, under the commands of {chosen.name}:")
-        say(f"  {proving}")
-    if drawn is not None:
-        say(f"Report: {drawn}")
-    raise typer.Exit(0 if enough else 1)
+        say(f"  {prove_command}")
+    if picture is not None:
+        say(f"Report: {picture}")
+    raise typer.Exit(0 if is_enough else 1)
 
 
 def _cheapest(
     judged: MachineYield, wanted: float, question: Question, progress: Progress
 ) -> CheapestSet:
     done = counted(progress, "looking for the cheapest set of tolerances")
-    most = MACHINES if judged.together else min(MACHINES, question.variants)
-    return cheapest_set(judged, wanted, question.seed, machines=most, done=done)
+    machine_count = MACHINES if judged.together else min(MACHINES, question.variants)
+    return cheapest_set(judged, wanted, question.seed, machines=machine_count, done=done)
 
 
 def _found(
     question: Question,
     part: Part | None,
-    how: tuple[MachineYield, Spec],
+    judged_and_spec: tuple[MachineYield, Spec],
     resume: Path | None,
     progress: Progress,
 ) -> Yield:
     """Return the results of all machines, drawn or merged, or of the machines of one part."""
-    judged, judged_spec = how
+    judged, judged_spec = judged_and_spec
     if question.parts:
         return _merged(question.parts, judged, judged_spec, progress)
     seed, variants, state = question.seed, question.variants, None
     machines = range(variants) if part is None else part.machines(variants)
     if resume is not None:
-        own = {} if part is None else {"part": f"{part} of {variants}"}
-        state = _opened(resume, _identity(judged.plan, judged_spec, seed) | own)
+        part_entry = {} if part is None else {"part": f"{part} of {variants}"}
+        state = _opened(resume, _identity(judged.plan, judged_spec, seed) | part_entry)
     done = counted(progress, "simulating and judging machines", len(machines))
     return judged.drawn(len(machines), seed, done, state, first=machines.start)
 
@@ -234,9 +234,9 @@ def _merged(
 ) -> Yield:
     """Return the answer of all parts, if job, machine and versions here equal the parts'."""
     identity = part_identity(judged.plan, judged_spec)
-    for one in parts:
-        here = replace(one.record, identity=identity)
-        check_same(one, here, "this Threadline and the files here")
+    for part in parts:
+        present_record = replace(part.record, identity=identity)
+        check_same(part, present_record, "this Threadline and the files here")
     return merged(parts, judged, counted(progress, "judging the first of each part", len(parts)))
 
 
@@ -282,16 +282,16 @@ def _check_files(
 ) -> None:
     """Refuse outputs that would replace an input or each other, or that cannot be written."""
     worst, resume, output = drawing.worst, drawing.resume, drawing.output
-    for one in (worst, output):
-        keep_inputs(one, *inputs, resume)
+    for file in (worst, output):
+        keep_inputs(file, *inputs, resume)
     keep_inputs(resume, *inputs)
     check_outputs(file=worst, folder=report, worst=worst)
     check_outputs(file=resume)
     check_outputs(file=output)
-    for name, one in ("--worst", worst), ("--output", output):
-        if one is not None and resume is not None and one.resolve() == resume.resolve():
+    for name, file in ("--worst", worst), ("--output", output):
+        if file is not None and resume is not None and file.resolve() == resume.resolve():
             raise OptionError(
-                f"{name} and --resume are the same file {str(one)!r}", remedy="Name two files."
+                f"{name} and --resume are the same file {str(file)!r}", remedy="Name two files."
             )
 
 
@@ -346,10 +346,10 @@ def grouped(reasons: dict[str, str]) -> dict[str, list[str]]:
     >>> grouped({"a": "exact", "b": "far", "c": "exact"})
     {'exact': ['a', 'c'], 'far': ['b']}
     """
-    found: dict[str, list[str]] = {}
+    by_reason: dict[str, list[str]] = {}
     for name, why in reasons.items():
-        found.setdefault(why, []).append(name)
-    return found
+        by_reason.setdefault(why, []).append(name)
+    return by_reason
 
 
 def _show(

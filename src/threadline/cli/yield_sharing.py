@@ -93,11 +93,11 @@ def question_from_parts(
     check_merge_options(machine, words, given)
     parts = read_parts(files)
     record = parts[0].record
-    job, named, own = recorded_words("yield", record.words, parts[0].path)
+    job, machine_name, part_words = recorded_words("yield", record.words, parts[0].path)
     return Question(
         job=job,
-        machine=named,
-        words=own,
+        machine=machine_name,
+        words=part_words,
         variants=record.variants,
         seed=record.seed,
         parts=parts,
@@ -112,9 +112,9 @@ def check_merge_options(machine: str | None, words: Words, given: Mapping[str, o
     OptionError
         If one is given.
     """
-    own = words_for_part(words)
+    planning_words = words_for_part(words)
     typed = [] if machine is None else ["--machine"]
-    typed += [one.typed for one in options_for(words.verb) if one.word in own]
+    typed += [one.typed for one in options_for(words.verb) if one.word in planning_words]
     typed += [name for name, value in given.items() if value not in (None, False)]
     if typed:
         raise OptionError(
@@ -131,9 +131,9 @@ def recorded_words(verb: str, words: Mapping[str, Word], path: Path) -> tuple[Pa
     OptionError, RecordingError
         If it does not name them, or a word is no option of the verb.
     """
-    left = dict(words)
-    job, named = left.pop("job", None), left.pop("machine", None)
-    if not isinstance(job, str) or not isinstance(named, str):
+    remaining = dict(words)
+    job, machine_name = remaining.pop("job", None), remaining.pop("machine", None)
+    if not isinstance(job, str) or not isinstance(machine_name, str):
         raise RecordingError(
             f"{str(path)!r} does not name its job and machine", remedy="Make that part again."
         )
@@ -142,7 +142,7 @@ def recorded_words(verb: str, words: Mapping[str, Word], path: Path) -> tuple[Pa
             f"the parts are of job {job!r}, and it is not here",
             remedy="Merge in the folder in which the parts were made, or in a copy of it.",
         )
-    return Path(job), named, words_of_part(verb, left, path)
+    return Path(job), machine_name, words_of_part(verb, remaining, path)
 
 
 def words_of_part(verb: str, recorded: Mapping[str, Word], path: Path) -> Words:
@@ -165,11 +165,11 @@ def words_of_part(verb: str, recorded: Mapping[str, Word], path: Path) -> Words:
 
 def words_for_part(words: Words) -> dict[str, str | int | float | bool]:
     """Return the words that differ from their defaults; where machines are judged is left out."""
-    where = {one.word for one in options_for(words.verb, groups=[Group.WHERE])}
+    where_judged = {one.word for one in options_for(words.verb, groups=[Group.WHERE])}
     given = {
         word: value if isinstance(value, bool | int | float) else str(value)
         for word, value in words.given.items()
-        if value is not None and value is not False and word not in where
+        if value is not None and value is not False and word not in where_judged
     }
     defaults = known_words(words.verb, Door.LINE, {})
     return {word: value for word, value in given.items() if value != defaults[word]}
@@ -177,10 +177,10 @@ def words_for_part(words: Words) -> dict[str, str | int | float | bool]:
 
 def record_of(question: Question, identity: Mapping[str, str], part: Part) -> Record:
     """Return the record of a part of the yield; where it was judged does not matter."""
-    own = words_for_part(question.words)
+    words = words_for_part(question.words)
     return Record(
         identity=identity,
-        words={"job": str(question.job), "machine": question.machine, **own},
+        words={"job": str(question.job), "machine": question.machine, **words},
         seed=question.seed,
         variants=question.variants,
         part=part,

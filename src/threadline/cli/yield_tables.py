@@ -26,15 +26,15 @@ def counted(progress: Progress, what: str, total: int | None = None) -> Done:
 
     A search has no known total: it reports how many machines it has tried.
     """
-    through = 0.0
+    judged_count = 0.0
 
     def done(count: float) -> None:
-        nonlocal through
-        through += count
+        nonlocal judged_count
+        judged_count += count
         if total is None:
-            progress(f"{what}, {through:.0f} tried", 0.0)
+            progress(f"{what}, {judged_count:.0f} tried", 0.0)
         else:
-            progress(what, min(through / total, 1.0))
+            progress(what, min(judged_count / total, 1.0))
 
     return done
 
@@ -76,9 +76,9 @@ def sensitivities_of(
         return np.minimum(shares, 10.0)
 
     indices = influence(result, normal, samples, seed)
-    own = judged.drawn(machines, seed, done).share
+    own_share = judged.drawn(machines, seed, done).share
     halved = judged.halved(machines, seed, done)
-    return Sensitivities(indices=indices, halved=halved, own=own, machines=machines)
+    return Sensitivities(indices=indices, halved=halved, own=own_share, machines=machines)
 
 
 def show_sensitivities(sensitivities: Sensitivities, judged: MachineYield) -> None:
@@ -95,8 +95,8 @@ def show_sensitivities(sensitivities: Sensitivities, judged: MachineYield) -> No
     ]
     rows = [rows[k] for k in np.argsort(-indices.total, kind="stable")]
     head = ["number", "alone", "with others", "yield if halved"]
-    own = f"of {sensitivities.machines} machines {sensitivities.own:.2%} in spec"
-    print_table(f"what the yield depends on; {own}", head, rows)
+    share_text = f"of {sensitivities.machines} machines {sensitivities.own:.2%} in spec"
+    print_table(f"what the yield depends on; {share_text}", head, rows)
 
 
 def _within(share: float, ends: FloatArray) -> str:
@@ -138,9 +138,11 @@ def show_set(found: CheapestSet, judged: MachineYield, wanted: str) -> None:
     for number, factor in zip(judged.numbers, found.factors.tolist(), strict=True):
         if factor < 1.0:
             quantity = number_at(judged.plan.machine, number.numbers[0])
-            own = quantity.tolerance_si / abs(quantity.si) if quantity.si else 0.0
-            now, then = (f"+-{100.0 * own * f:.3g} %" if own else "" for f in (1.0, factor))
-            rows.append([number.name, now, then, f"1/{1.0 / factor:.0f}"])
+            relative = quantity.tolerance_si / abs(quantity.si) if quantity.si else 0.0
+            present_text, new_text = (
+                f"+-{100.0 * relative * f:.3g} %" if relative else "" for f in (1.0, factor)
+            )
+            rows.append([number.name, present_text, new_text, f"1/{1.0 / factor:.0f}"])
     head = ["number", "tolerance", "instead", "of it"]
     print_table(f"cheapest set that reaches {wanted}: {found.halvings} halvings", head, rows)
     say(f"with it: {words}")

@@ -144,11 +144,11 @@ class Ahead:
 
     def forget(self, tick: int) -> None:
         """Delete everything before ``tick``, except the few ticks that braking needs."""
-        gone = tick - _KEPT - self._first
-        if gone > 0:
-            gone = min(gone, len(self._places) - 1)
-            self._places = self._places[gone:].copy()
-            self._first += gone
+        forgotten = tick - _KEPT - self._first
+        if forgotten > 0:
+            forgotten = min(forgotten, len(self._places) - 1)
+            self._places = self._places[forgotten:].copy()
+            self._first += forgotten
             self._window.forget(float(self._places[0]) - _KEPT)
             self._given = [given for given in self._given if given[0] >= self._first]
 
@@ -157,17 +157,17 @@ class Ahead:
     def extend(self, until: int) -> Message:
         """Return the refill with the rows up to tick ``until`` and a braking tail after them."""
         begin, self._before_cut = self.end, None
-        changes = most_changed(self._gently) if self.rate != self._rate else 0
-        self._window.reach(self.place + (until - begin) + max(changes, MOST_PLACES))
+        change_rows = most_changed(self._gently) if self.rate != self._rate else 0
+        self._window.reach(self.place + (until - begin) + max(change_rows, MOST_PLACES))
         stop = float(self._end_of_path())
-        added: list[float] = []
+        places: list[float] = []
         place = self.place
         for tick in range(begin + 1, until + 1):
             if place >= stop:
                 break
             place = self._following(tick, place, stop)
-            added.append(place)
-        self._places = np.concatenate([self._places, added])
+            places.append(place)
+        self._places = np.concatenate([self._places, places])
         tail = np.empty(0) if self.place >= stop else self._brake()
         return self._refill(begin, tail, self._override_event(begin))
 
@@ -185,8 +185,8 @@ class Ahead:
             if not len(self._on_the_way):
                 self._line = tick, following
         else:
-            begun, origin = self._line
-            following = origin + self._rate * (tick - begun)
+            line_tick, line_place = self._line
+            following = line_place + self._rate * (tick - line_tick)
         if following >= stop:
             self._on_the_way, self._line = np.empty(0), (tick, stop)
         return min(following, stop)
@@ -197,11 +197,11 @@ class Ahead:
             return []
         self._overrides.append((begin, self._rate))
         operation = int(self._window.operations(np.array([self.place_at(begin)]))[0])
-        changed = Event(
+        event = Event(
             tick=begin, kind="override", operation=operation,
             name=feed_words(round(100.0 * self._rate)), value=self._rate,
         )  # fmt: skip
-        return [changed]
+        return [event]
 
     def cut(self, tick: int) -> Message:
         """Return the refill that brakes along the path from ``tick`` on."""
@@ -209,12 +209,12 @@ class Ahead:
         rates = self._rate, self._on_the_way, self._line, self._overrides
         self._before_cut = (self._first, self._places, self._given, rates)
         self._places = self._places[: tick - self._first + 1]
-        back = [event for at, event in self._given if at >= tick]
+        events_put_back = [event for event_tick, event in self._given if event_tick >= tick]
         self._given = [given for given in self._given if given[0] < tick]
         self._overrides = [change for change in self._overrides if change[0] < tick]
-        self._window.put_back(back)
-        down = self._brake(self._held_ticks if self.gently else 0.0)
-        self._places = np.concatenate([self._places, down])
+        self._window.put_back(events_put_back)
+        braking_places = self._brake(self._held_ticks if self.gently else 0.0)
+        self._places = np.concatenate([self._places, braking_places])
         self._rate, self._on_the_way = self.rate, np.empty(0)  # from the next start on
         self._line = self.end, self.place
         return self._refill(tick, np.empty(0))
@@ -232,9 +232,9 @@ class Ahead:
 
     def rest_until(self, tick: int) -> None:
         """Extend the rest of the run to ``tick``."""
-        still = np.full(max(tick - self.end, 0), self.place)
-        self._places = np.concatenate([self._places, still])
-        if len(still):
+        rest_places = np.full(max(tick - self.end, 0), self.place)
+        self._places = np.concatenate([self._places, rest_places])
+        if len(rest_places):
             self._line = self.end, self.place
 
     def start_again(self) -> None:
@@ -253,18 +253,18 @@ class Ahead:
         return min(last, *ends)
 
     def _brake(self, gently: float = 0.0) -> FloatArray:
-        now = self.end
-        before = (self.place_at(now - 2), self.place_at(now - 1), self.place)
+        end_tick = self.end
+        last_places = (self.place_at(end_tick - 2), self.place_at(end_tick - 1), self.place)
         stop = float(self._end_of_path())
-        return np.minimum(brake(self._window, before, self._limits, gently), stop)
+        return np.minimum(brake(self._window, last_places, self._limits, gently), stop)
 
     def _refill(self, begin: int, tail: FloatArray, events: Sequence[Event] = ()) -> Message:
         places = np.concatenate([self._places[begin - self._first :], tail])
         wanted = self.end - begin
-        stands = self._window.counts(places)
-        at = np.rint(stands).astype(np.int64)
-        counts = at[1:] - at[:-1]
-        self._check(stands + self.start, counts)
+        positions = self._window.counts(places)
+        at_counts = np.rint(positions).astype(np.int64)
+        counts = at_counts[1:] - at_counts[:-1]
+        self._check(positions + self.start, counts)
         head = {
             "first": begin,
             "wanted": wanted,
@@ -272,22 +272,22 @@ class Ahead:
             "events": [event_row(event) for event in (*events, *self._events(begin))],
         }
         arrays = {
-            "at": at[0], "counts": counts, "operation": self._window.operations(places[:-1]),
+            "at": at_counts[0], "counts": counts, "operation": self._window.operations(places[:-1]),
             "place": places[1:],
         }  # fmt: skip
         return Message("refill", head, arrays)
 
     def _events(self, begin: int) -> list[Event]:
         """Return the events due at the ticks from ``begin`` on; each is sent once."""
-        found: list[Event] = []
+        events: list[Event] = []
         for due in self._window.take_events(self.place):
-            at = np.searchsorted(self._places, due.tick) + self._first
-            tick = max(int(at), begin)
+            row = np.searchsorted(self._places, due.tick) + self._first
+            tick = max(int(row), begin)
             self._given.append((tick, due))
-            found.append(replace(due, tick=tick))
-        return found
+            events.append(replace(due, tick=tick))
+        return events
 
-    def _check(self, stands: FloatArray, counts: IntArray) -> None:
+    def _check(self, positions: FloatArray, counts: IntArray) -> None:
         """Refuse rows beyond the travel or the speed of an axis.
 
         Parameters
@@ -303,7 +303,7 @@ class Ahead:
             If a row exceeds a limit; the error names the axis, and the rows are not sent.
         """
         limits = self._limits
-        if not _breaks(stands, counts, limits.velocity, limits.low, limits.high):
+        if not _breaks(positions, counts, limits.velocity, limits.low, limits.high):
             return
         names = self._machine.axis_names
         scale = self._machine.counts_per_unit
@@ -321,18 +321,18 @@ class Ahead:
                     limit_si=float(limits.velocity[k] * to_si),
                     remedy="Let the job be slower, or prove it with another interpolation.",
                 )
-            low, high = float(stands[:, k].min()), float(stands[:, k].max())
-            beyond = low < limits.low[k] - _LIMIT_COUNTS
-            if beyond or high > limits.high[k] + _LIMIT_COUNTS:
-                goes = (low if beyond else high) / scale[k]
-                ends = float((limits.low if beyond else limits.high)[k] / scale[k])
+            low, high = float(positions[:, k].min()), float(positions[:, k].max())
+            below = low < limits.low[k] - _LIMIT_COUNTS
+            if below or high > limits.high[k] + _LIMIT_COUNTS:
+                position_si = (low if below else high) / scale[k]
+                end_si = float((limits.low if below else limits.high)[k] / scale[k])
                 raise LimitError(
-                    f"axis {name}: a row goes to {goes:.4g}, beyond its travel, which ends at "
-                    f"{ends:.4g}",
+                    f"axis {name}: a row goes to {position_si:.4g}, beyond its travel, which ends "
+                    f"at {end_si:.4g}",
                     axis=name,
                     quantity="position",
-                    value_si=float(goes),
-                    limit_si=ends,
+                    value_si=float(position_si),
+                    limit_si=end_si,
                     remedy="Move the job, or the position where it starts.",
                 )
 
@@ -347,8 +347,8 @@ def _breaks(
             if abs(counts[i, k]) > velocity[k] + _LIMIT_COUNTS:
                 return True
         for i in range(len(stands)):
-            at = stands[i, k]
-            if at < low[k] - _LIMIT_COUNTS or at > high[k] + _LIMIT_COUNTS:
+            position = stands[i, k]
+            if position < low[k] - _LIMIT_COUNTS or position > high[k] + _LIMIT_COUNTS:
                 return True
     return False
 
@@ -377,10 +377,10 @@ def refuse_start_elsewhere(machine: Machine, stands: IntArray, starts: IntArray)
         If an axis stands elsewhere; the error names the first such axis and both positions.
     """
     scale, names = machine.counts_per_unit, machine.axis_names
-    for k, (here, begins) in enumerate(zip(stands, starts, strict=True)):
-        if here != begins:
+    for k, (position, start) in enumerate(zip(stands, starts, strict=True)):
+        if position != start:
             raise CommandError(
-                f"axis {names[k]} stands at {place_words(machine, names[k], here / scale[k])}, "
-                f"the run begins at {place_words(machine, names[k], begins / scale[k])}",
+                f"axis {names[k]} stands at {place_words(machine, names[k], position / scale[k])}, "
+                f"the run begins at {place_words(machine, names[k], start / scale[k])}",
                 remedy="Home the machine, or move it there.",
             )

@@ -142,19 +142,21 @@ class AtRest:
         """
         self._go(Cause.HOME)
         try:
-            found = self.far_end.home(self._desk.fileno(), self._stopped)
+            homed_position = self.far_end.home(self._desk.fileno(), self._stopped)
         except LinkFaultError as error:
             self._fault(error.message)
             self.over = True
             raise
-        self._homed = found is not None
-        if found is None:
+        self._homed = homed_position is not None
+        if homed_position is None:
             self._go(Cause.AT_REST_UNHOMED)
             return
-        self._stands, reported = found
-        places = {channel.name for channel in self.far_end.channels if channel.axis}
-        kept = {name: at for name, at in self.latest.items() if name not in places}
-        self.latest = {**kept, **reported}
+        self._stands, reported = homed_position
+        position_channels = {channel.name for channel in self.far_end.channels if channel.axis}
+        other_samples = {
+            name: at for name, at in self.latest.items() if name not in position_channels
+        }
+        self.latest = {**other_samples, **reported}
         self._go(Cause.HOMED)
 
     def _stopped(self) -> bool:
@@ -165,14 +167,14 @@ class AtRest:
 
     def stand(self, patience_s: float) -> None:
         """Listen to a machine at rest for at most ``patience_s``, and execute commands."""
-        gone = self._link.lost
-        waited = [self._desk.fileno(), *([] if gone else [self._link.fileno()])]
+        is_lost = self._link.lost
+        waited_on = [self._desk.fileno(), *([] if is_lost else [self._link.fileno()])]
         if not self._link.waiting:
-            ready, _, _ = select.select(waited, [], [], patience_s)
+            ready, _, _ = select.select(waited_on, [], [], patience_s)
             if self._desk.fileno() in ready:
                 self._desk.woken()
         self.obey()
-        if gone:
+        if is_lost:
             return
         try:
             message = self._link.receive(0.0)
@@ -190,9 +192,9 @@ class AtRest:
 
     def _keep_latest(self, report: Message) -> dict[str, float]:
         """Keep the last sample of each channel in a report, and return these."""
-        found = {name: float(a[-1]) for name, a in report.arrays.items() if len(a)}
-        self.latest = {**self.latest, **found}
-        return found
+        last_samples = {name: float(a[-1]) for name, a in report.arrays.items() if len(a)}
+        self.latest = {**self.latest, **last_samples}
+        return last_samples
 
     def obey(self) -> None:
         """Execute the commands of the desk; an impossible one is recorded and dropped."""

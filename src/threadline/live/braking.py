@@ -116,18 +116,20 @@ def _excess(
     worst = 0.0
     for k in range(counts.shape[1]):
         reached, planned = np.zeros(4), np.zeros(4)
-        for values, found in ((counts, reached), (own, planned)):
-            first, second = 0.0, 0.0
+        for values, largest in ((counts, reached), (own, planned)):
+            last_difference, last_second_difference = 0.0, 0.0
             for i in range(1, len(values)):
-                now = values[i, k] - values[i - 1, k]
-                found[1] = max(found[1], abs(now))
+                difference = values[i, k] - values[i - 1, k]
+                largest[1] = max(largest[1], abs(difference))
                 if i > 1:
-                    change = now - first
-                    found[2] = max(found[2], abs(change))
+                    second_difference = difference - last_difference
+                    largest[2] = max(largest[2], abs(second_difference))
                     if i > 2:  # the third difference needs four values
-                        found[3] = max(found[3], abs(change - second))
-                    second = change
-                first = now
+                        largest[3] = max(
+                            largest[3], abs(second_difference - last_second_difference)
+                        )
+                    last_second_difference = second_difference
+                last_difference = difference
         for order, limit in enumerate((velocity[k], acceleration[k], jerk[k]), 1):
             worst = max(worst, reached[order] / (max(limit, planned[order]) + _ROUNDED[order]))
     return worst
@@ -160,12 +162,12 @@ _FALLS = {
 }
 
 
-def _fall(before: float, place: float, ticks: float) -> FloatArray:
+def _fall(previous: float, place: float, ticks: float) -> FloatArray:
     """Return the places at the ticks after ``place`` while the rate falls to 0 in ``ticks``.
 
     ``ticks`` is one of ``_DURATIONS``.
     """
-    rate = place - before
+    rate = place - previous
     return np.asarray(place + rate * ticks * _FALLS[ticks])
 
 
@@ -191,21 +193,23 @@ def brake(
         Shortest duration, in ticks, at most that of ``gentle_ticks``; 0 for as short as the limits
         allow.
     """
-    second, first, now = before
-    if now <= first:
+    second_last, previous, now = before
+    if now <= previous:
         return np.empty(0)
-    best, least = np.empty(0), np.inf
-    own = path.counts(np.arange(floor(second), floor(now) + MOST_PLACES, dtype=np.float64))
+    best_places, least_excess = np.empty(0), np.inf
+    path_counts = path.counts(
+        np.arange(floor(second_last), floor(now) + MOST_PLACES, dtype=np.float64)
+    )
     for ticks in (one for one in _DURATIONS if one >= gently):
-        places = _fall(first, now, ticks)
+        places = _fall(previous, now, ticks)
         # Two ticks of rest after it: the jerk of stopping counts, too.
-        whole = np.concatenate([before, places, places[-1:], places[-1:]])
-        excess = limits.excess(path.counts(whole), own)
-        if excess < least:
-            best, least = places, excess
+        all_places = np.concatenate([before, places, places[-1:], places[-1:]])
+        excess = limits.excess(path.counts(all_places), path_counts)
+        if excess < least_excess:
+            best_places, least_excess = places, excess
         if excess <= 1.0:
             break
-    return best
+    return best_places
 
 
 def rise(path: Path, place: float, limits: CountLimits, gently: float = 0.0) -> FloatArray:
@@ -252,35 +256,39 @@ def change_rate(
     gently
         Shortest duration, in ticks; 0 for as short as the limits allow.
     """
-    before, after = rates
-    best, least = np.empty(0), np.inf
-    comes = place - before * np.arange(2.0, -1.0, -1.0)
+    rate_before, rate_after = rates
+    best_places, least_excess = np.empty(0), np.inf
+    arriving = place - rate_before * np.arange(2.0, -1.0, -1.0)
     last = floor(place) + most_changed(gently) + 2
-    own = path.counts(np.arange(floor(comes[0]), last, dtype=np.float64))
-    for wanted in [gently * part for part in _LONGER] if gently else _DURATIONS:
-        ticks = _landing(place, before, wanted) if after == 1.0 else wanted
+    path_counts = path.counts(np.arange(floor(arriving[0]), last, dtype=np.float64))
+    for wanted in [gently * elapsed for elapsed in _LONGER] if gently else _DURATIONS:
+        ticks = _landing(place, rate_before, wanted) if rate_after == 1.0 else wanted
         k = np.arange(1, ceil(ticks) + 1)
-        part = np.minimum(k, ticks)
+        elapsed = np.minimum(k, ticks)
         places = np.asarray(
             place
-            + before * part
-            + (after - before) * ticks * _risen(part / ticks)
-            + after * np.maximum(k - ticks, 0.0)
+            + rate_before * elapsed
+            + (rate_after - rate_before) * ticks * _risen(elapsed / ticks)
+            + rate_after * np.maximum(k - ticks, 0.0)
         )
-        whole = np.concatenate([comes, places, places[-1] + after * np.arange(1, 4)])
-        excess = limits.excess(path.counts(whole), own)
-        if excess < least:
-            best, least = places, excess
+        all_places = np.concatenate([arriving, places, places[-1] + rate_after * np.arange(1, 4)])
+        excess = limits.excess(path.counts(all_places), path_counts)
+        if excess < least_excess:
+            best_places, least_excess = places, excess
         if excess <= 1.0:
             break
-    return np.concatenate([best[:-1], np.rint(best[-1:])]) if after == 1.0 else best
+    return (
+        np.concatenate([best_places[:-1], np.rint(best_places[-1:])])
+        if rate_after == 1.0
+        else best_places
+    )
 
 
-def _landing(place: float, before: float, wanted: float) -> float:
+def _landing(place: float, rate_before: float, wanted: float) -> float:
     """Return a duration of at least ``wanted`` ticks after which the rate 1 begins on a whole row.
 
     A change in T ticks is T (1 - before) / 2 rows shorter than T ticks at the rate 1.
     """
-    row = 2.0 / (1.0 - before)  # ticks that lose a row
-    beyond = row * (place - floor(place))
-    return beyond + row * max(ceil((wanted - beyond) / row), 0 if beyond else 1)
+    row = 2.0 / (1.0 - rate_before)  # ticks that lose a row
+    over_row = row * (place - floor(place))
+    return over_row + row * max(ceil((wanted - over_row) / row), 0 if over_row else 1)

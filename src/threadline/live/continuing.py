@@ -65,17 +65,17 @@ class ContinuedSink:
 
     def block(self, block: RecordingBlock) -> None:
         """Pass on a block, shifted by the ticks left out, without its dry part."""
-        gone = 0 if self._works else self._dry(block)
+        dry_count = 0 if self._works else self._dry(block)
         clock = self._channels[0]
-        later = round(self._left_out_s / clock.clock.period_s)
-        first = block.first_tick[clock.clock.name] + later + gone * clock.stride
+        ticks_later = round(self._left_out_s / clock.clock.period_s)
+        first = block.first_tick[clock.clock.name] + ticks_later + dry_count * clock.stride
         self._sink.block(
             replace(
                 block,
                 first_tick={clock.clock.name: first},
-                samples={name: values[gone:] for name, values in block.samples.items()},
+                samples={name: values[dry_count:] for name, values in block.samples.items()},
                 events=tuple(
-                    self._later(event, later)
+                    self._later(event, ticks_later)
                     for event in block.events
                     if self._works or event.kind in _OF_RUNS
                 ),
@@ -84,15 +84,15 @@ class ContinuedSink:
 
     def _later(self, event: Event, ticks: int) -> Event:
         """Return an event with its tick and time in the whole job."""
-        by_s = float(self._left_out_s) if event.kind == "plan" else 0.0
-        return replace(event, tick=event.tick + ticks, value=event.value + by_s)
+        shift_s = float(self._left_out_s) if event.kind == "plan" else 0.0
+        return replace(event, tick=event.tick + ticks, value=event.value + shift_s)
 
     def _dry(self, block: RecordingBlock) -> int:
         """Return how many samples at the start of a block belong to operations before the work."""
-        notes = next(c for c in self._channels if c.kind is ChannelKind.OPERATION)
-        works = np.flatnonzero(block.samples[notes.name] >= self._operation)
-        self._works = len(works) > 0
-        return int(works[0]) if self._works else len(block.samples[notes.name])
+        operation_channel = next(c for c in self._channels if c.kind is ChannelKind.OPERATION)
+        work_samples = np.flatnonzero(block.samples[operation_channel.name] >= self._operation)
+        self._works = len(work_samples) > 0
+        return int(work_samples[0]) if self._works else len(block.samples[operation_channel.name])
 
 
 _NUMBER = re.compile(r"[0-9]{1,12}")
@@ -173,16 +173,16 @@ def operation_at(plan: Plan, executed: int, at: str) -> int:
     if word == "line" and not number:
         raise wrong
     begins: int | None = None
-    before: object = None
+    previous_place: object = None
     for index, operation in enumerate(plan.job):
         if index > executed:
             break
         source = operation.source
-        here = source.line if word == "line" else _circuit(operation)
-        wanted = here is not None and (not number or here == int(number))
-        if wanted and here != before:
+        place = source.line if word == "line" else _circuit(operation)
+        wanted = place is not None and (not number or place == int(number))
+        if wanted and place != previous_place:
             begins = index
-        before = here
+        previous_place = place
     if begins is None:
         raise OptionError(
             f"--at {at[:40]!r}: the run has not executed it",
@@ -251,10 +251,10 @@ def _approach(machine: Machine, begins: IntArray, ends: IntArray) -> list[tuple[
     """Return the moves from home to a position, axis by axis in the order of the machine."""
     limits = CountLimits.of(machine)
     for k, axis in enumerate(machine.axes):
-        beyond = ends[k] < limits.low[k], ends[k] > limits.high[k]
-        if any(beyond):
+        is_beyond = ends[k] < limits.low[k], ends[k] > limits.high[k]
+        if any(is_beyond):
             per_unit = machine.counts_per_unit[k]
-            end = float((limits.low if beyond[0] else limits.high)[k] / per_unit)
+            end = float((limits.low if is_beyond[0] else limits.high)[k] / per_unit)
             raise LimitError(
                 f"axis {axis}: the approach goes to {ends[k] / per_unit:.4g}, beyond its travel, "
                 f"which ends at {end:.4g}",
@@ -274,23 +274,25 @@ def _approach(machine: Machine, begins: IntArray, ends: IntArray) -> list[tuple[
 def _notes(
     machine: Machine, rest: Rest, line: int, approach: Sequence[tuple[str, int]]
 ) -> list[str]:
-    where = f"line {line} of the job" if line else f"operation {rest.operation}"
+    begin_text = f"line {line} of the job" if line else f"operation {rest.operation}"
     if rest.dry:
-        how = (
+        approach_text = (
             "it gets there by the program itself, with needle and tools off"
             if rest.operation
             else "it begins at once"
         )
-        return [f"the work begins again at {where}; {how}"]
+        return [f"the work begins again at {begin_text}; {approach_text}"]
     names, scale = machine.axis_names, machine.counts_per_unit
     feed = manual_feed(machine)
     tick_s = float(machine.tick_clock.period_s)
-    ways = []
+    approach_moves = []
     for axis, to in approach:
         k = names.index(axis)
         linear = machine.axes[axis].kind == "linear"
         to_shown, unit = (1e3, "mm") if linear else (180.0 / np.pi, "deg")
         speed = feed[k] / scale[k] / tick_s * to_shown
-        ways.append(f"{axis} to {to / scale[k] * to_shown:.2f} {unit} at {speed:.3g} {unit}/s")
-    moves = "; then ".join(ways) or "nothing has to move first"
-    return [f"the work begins again at {where}; from home: {moves}"]
+        approach_moves.append(
+            f"{axis} to {to / scale[k] * to_shown:.2f} {unit} at {speed:.3g} {unit}/s"
+        )
+    moves = "; then ".join(approach_moves) or "nothing has to move first"
+    return [f"the work begins again at {begin_text}; from home: {moves}"]

@@ -73,8 +73,8 @@ def rest_of_rows(commands: Commands, machine: Machine, operation: int, *, at_res
         they begin at the last rest before the operation.
     """
     table = tick_table(commands)
-    first, of_first = _first_row(table, operation, rest_rows(table) if at_rest else 0)
-    return rest_from_row(table, first, of_first)
+    first, first_operation = _first_row(table, operation, rest_rows(table) if at_rest else 0)
+    return rest_from_row(table, first, first_operation)
 
 
 def rest_from_row(commands: Commands, first: int, operation: int) -> Rest:
@@ -103,16 +103,16 @@ def rest_from_row(commands: Commands, first: int, operation: int) -> Rest:
 
 def _first_row(table: TickTable, operation: int, rest: int) -> tuple[int, int]:
     """Return the first row of an operation, or the last rest before it, and the operation there."""
-    row = still = 0
-    found = (0, operation)
+    row = resting_rows = 0
+    latest = (0, operation)
     for block in table:
         moves = (np.abs(block.counts).max(axis=1, initial=0) > 0).tolist()
-        for moving, of in zip(moves, block.operation.tolist(), strict=True):
-            if still >= rest or not row:
-                found = (row, of)
-            if of >= operation:
-                return found
-            still = 0 if moving else still + 1
+        for moving, row_operation in zip(moves, block.operation.tolist(), strict=True):
+            if resting_rows >= rest or not row:
+                latest = (row, row_operation)
+            if row_operation >= operation:
+                return latest
+            resting_rows = 0 if moving else resting_rows + 1
             row += 1
     raise _unknown(operation)
 
@@ -126,16 +126,16 @@ def _rows_from(table: TickTable, first: int) -> Iterator[TickBlock]:
             switched |= {e.name: e for e in block.events if e.kind == "output"}
             continue
         skipped = max(first - block.first_tick, 0)
-        before = [e for e in block.events if e.tick < first and e.kind == "output"]
-        switched |= {e.name: e for e in before}
-        again = [replace(event, tick=0) for event in switched.values()]
+        earlier_outputs = [e for e in block.events if e.tick < first and e.kind == "output"]
+        switched |= {e.name: e for e in earlier_outputs}
+        outputs_again = [replace(event, tick=0) for event in switched.values()]
         switched = {}
-        due = [replace(e, tick=e.tick - first) for e in block.events if e.tick >= first]
+        later_events = [replace(e, tick=e.tick - first) for e in block.events if e.tick >= first]
         yield TickBlock(
             first_tick=max(block.first_tick - first, 0),
             counts=block.counts[skipped:],
             operation=block.operation[skipped:],
-            events=(*again, *due),
+            events=(*outputs_again, *later_events),
         )
 
 
@@ -167,21 +167,25 @@ def rest_of_scans(commands: Commands, machine: Machine, operation: int, *, at_re
     """
     schedule = switch_schedule(commands)
     tools = [k for k, output in enumerate(machine.outputs.values()) if output.kind in _WORK]
-    works = schedule.levels[:, tools].max(axis=1, initial=0) > 0
+    tool_works = schedule.levels[:, tools].max(axis=1, initial=0) > 0
     first = np.flatnonzero(schedule.operation >= operation)
     if not len(first):
         raise _unknown(operation)
     row = int(first[0])
-    while row > 0 and works[row - 1]:
+    while row > 0 and tool_works[row - 1]:
         row = int(np.flatnonzero(schedule.operation == schedule.operation[row - 1])[0])
     levels = schedule.levels.copy()
     levels[:row, tools] = 0
-    ends = {name for name, contact in machine.contacts.items() if contact.cylinder is not None}
-    place = int(schedule.ticks[row])
+    end_switches = {
+        name for name, contact in machine.contacts.items() if contact.cylinder is not None
+    }
+    begin_tick = int(schedule.ticks[row])
     events = tuple(
         event
         for event in schedule.events
-        if not (event.kind == "wait" and event.tick <= place and event.name not in ends)
+        if not (
+            event.kind == "wait" and event.tick <= begin_tick and event.name not in end_switches
+        )
     )
     return Rest(
         commands=replace(schedule, levels=levels, events=events),

@@ -254,8 +254,8 @@ class Executor(AtRest):
             self._link.send(Message("go", {"ticks": self._many} if self._needs_no_decision else {}))
         if not self._link.waiting:
             silence_s = 5 * DEPTH_S if self._real_time and self.tick else _STEPPED_S
-            waited = [self._desk.fileno(), self._link.fileno()]
-            ready, _, _ = select.select(waited, [], [], silence_s)
+            waited_on = [self._desk.fileno(), self._link.fileno()]
+            ready, _, _ = select.select(waited_on, [], [], silence_s)
             if self._desk.fileno() in ready:
                 self._desk.woken()
             elif not ready:
@@ -306,8 +306,8 @@ class Executor(AtRest):
     def _command(self, cause: Cause) -> None:
         cause.refuse_after(self.ended)
         moving = self.state in MOVING
-        waits = cause is Cause.HOLD and self._hold is Hold.AT_REST
-        self._go(cause, "it goes on to the next rest and stands there" if waits else "")
+        waits_for_rest = cause is Cause.HOLD and self._hold is Hold.AT_REST
+        self._go(cause, "it goes on to the next rest and stands there" if waits_for_rest else "")
         if cause is Cause.STOP and moving:
             self._homed = self._homed and (self._ahead is None or self._ahead.keeps_home)
             self.ended = self.ended or (RunEnd.STOPPED, f"stopped by {self.stopped_by}")
@@ -325,8 +325,8 @@ class Executor(AtRest):
     @property
     def _soonest(self) -> int:
         """First tick whose row can still be replaced; in real time, estimated by the clock."""
-        gone_s = min(clock_s() - self._heard_s, DEPTH_S) if self._real_time else 0.0
-        return self.tick + int(gone_s / self._period_s) + self._lead
+        elapsed_s = min(clock_s() - self._heard_s, DEPTH_S) if self._real_time else 0.0
+        return self.tick + int(elapsed_s / self._period_s) + self._lead
 
     def _brake(self, *, gently: bool = False) -> None:
         """Replace the rows that the machine holds by braking along the path, once.
@@ -351,11 +351,11 @@ class Executor(AtRest):
     def _start_again(self) -> None:
         ahead = self._ahead
         assert not isinstance(ahead, JogAhead | None)  # a jog is not held
-        rested, ahead.to_rest, self._braked = ahead.to_rest, False, False
+        was_to_rest, ahead.to_rest, self._braked = ahead.to_rest, False, False
         ahead.rest_until(self._soonest)
         if ahead.halt is not None:
             ahead.pass_halt()  # its rows begin from rest by themselves
-        elif rested:
+        elif was_to_rest:
             pass  # its rows begin from rest, too
         else:
             ahead.start_again()
@@ -373,41 +373,41 @@ class Executor(AtRest):
             self.tick, self._heard_s = int(head["now"]), clock_s()
             self._stands = self._began + np.array(head["position"], dtype=np.int64)
             self.late_ticks += int(head["late"])
-            why = _STARVED if head["starved"] else ""
+            cause = _STARVED if head["starved"] else ""
             samples = {name: np.asarray(a, np.float64) for name, a in message.arrays.items()}
             if isinstance(self._ahead, JogAhead):
                 self._ahead.measured(self.tick, samples)
             elif self._ahead is not None:
-                why = self._ahead.hear(head) or why
-            now = self._keep_latest(message)
-            if why and self.state in _SENDING:
-                self._fault(why)
+                cause = self._ahead.hear(head) or cause
+            last_samples = self._keep_latest(message)
+            if cause and self.state in _SENDING:
+                self._fault(cause)
             faults = [one[3] for one in head["events"] if one[1] == "fault"]
             if faults and self.ended is None:  # on its own: later positions are unknown
                 self._fault(faults[0])
                 self.over = True
                 return
             if self.ended is None and self._rest is None:
-                why = self._guards.trip(
+                cause = self._guards.trip(
                     int(head["tick"]), samples, bool(head["late"]), float(head["late_by"])
                 )
-                if why:
-                    self._fault(why)
+                if cause:
+                    self._fault(cause)
             try:
-                self._go_on(now, standing=not head["held"])
+                self._go_on(last_samples, standing=not head["held"])
             except LimitError as error:
                 self._fault(error.message)
             self._owes_go = not self._real_time and not self.over
 
     def _refused(self, message: Message) -> None:
-        what, why = message.head.get("what"), message.head.get("why")
-        if what == "refill" and self._ahead is not None and self._ahead.undo():
+        refused_kind, why = message.head.get("what"), message.head.get("why")
+        if refused_kind == "refill" and self._ahead is not None and self._ahead.undo():
             # Braking was to begin at a tick in the past; the next report gives a later one.
             self._lead, self._brake_again = max(2 * self._lead, 1), True
             self._braked = self._harder = False
         elif self.state is not State.FAULT:
-            self._fault(f"the machine refused a {what}: {why}")
-            self.over = what == "begin"  # nothing moves, and no report will come
+            self._fault(f"the machine refused a {refused_kind}: {why}")
+            self.over = refused_kind == "begin"  # nothing moves, and no report will come
 
     def _go_on(self, now: Mapping[str, float], *, standing: bool) -> None:
         """Act on a report: extend the rows, stand at a halt, or end the run."""

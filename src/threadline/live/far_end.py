@@ -140,8 +140,8 @@ class FarEnd:
             If the machine refuses, or does not answer.
         """
         self._link.send(Message("home"))
-        stop_sent, until = False, time.monotonic() + _ANSWER_S
-        while (left_s := until - time.monotonic()) > 0.0:
+        stop_sent, until_s = False, time.monotonic() + _ANSWER_S
+        while (left_s := until_s - time.monotonic()) > 0.0:
             if not self._link.waiting:
                 select.select([wakes, self._link.fileno()], [], [], left_s)
             if not stop_sent and stopped():
@@ -150,7 +150,7 @@ class FarEnd:
             message = self._link.receive(0.0)
             if message is None and self._link.lost:
                 break
-            if message is None or _of_before(message):
+            if message is None or _left_over(message):
                 continue
             if stop_sent:  # homed or not: the result is no longer needed
                 return None
@@ -166,17 +166,19 @@ class FarEnd:
     def reported(self, report: Message, until: int | None) -> RecordingBlock:
         """Return a report's samples before the tick ``until`` of the commands, and its events."""
         first = int(report.head["sample"])
-        last = None if until is None else max(ceil(until * self._per_tick) - first, 0)
+        sample_count = None if until is None else max(ceil(until * self._per_tick) - first, 0)
         samples = {name: np.asarray(a, np.float64) for name, a in report.arrays.items()}
-        if last is not None:
-            samples = {name: values[:last] for name, values in samples.items()}
+        if sample_count is not None:
+            samples = {name: values[:sample_count] for name, values in samples.items()}
         return self._block(first, samples, *(event_of(row) for row in report.head["events"]))
 
     def lost(self, tick: int, why: str) -> RecordingBlock:
         """Return a block with a fault event at a tick of the commands, without samples."""
-        at = ceil(tick * self._per_tick)
-        nothing = {channel.name: np.empty(0) for channel in self.channels}
-        return self._block(at, nothing, Event(tick=at, kind="fault", operation=-1, name=why))
+        sample = ceil(tick * self._per_tick)
+        no_samples = {channel.name: np.empty(0) for channel in self.channels}
+        return self._block(
+            sample, no_samples, Event(tick=sample, kind="fault", operation=-1, name=why)
+        )
 
     def _block(self, first: int, samples: dict[str, FloatArray], *events: Event) -> RecordingBlock:
         clock = self.channels[0].clock.name
@@ -184,7 +186,7 @@ class FarEnd:
 
     def _expect(self, kind: str, within_s: float = _ANSWER_S) -> Message:
         message = self._link.receive(within_s)
-        while message is not None and _of_before(message):
+        while message is not None and _left_over(message):
             message = self._link.receive(within_s)
         if message is None:
             raise _silent(kind)
@@ -205,6 +207,6 @@ def _silent(kind: str) -> LinkFaultError:
     )
 
 
-def _of_before(message: Message) -> bool:
+def _left_over(message: Message) -> bool:
     """Return whether a message is left over from the previous run."""
     return message.kind == "report" or message.head.get("what") == "refill"

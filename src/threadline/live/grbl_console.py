@@ -99,14 +99,14 @@ def console_line(typed: str) -> ConsoleLine:
 
 def _refusal(text: str) -> str:
     """Return why a line is not sent; empty if it may be."""
-    for one in text:
-        if one in _AT_ONCE:
-            return _AT_ONCE[one]
-        if not " " < one <= "~":
+    for character in text:
+        if character in _AT_ONCE:
+            return _AT_ONCE[character]
+        if not " " < character <= "~":
             return "it has a character that the controller acts on at once, or does not know"
-    form = _SETTING.fullmatch(text)
-    if form is not None:
-        return _unreadable(int(form[1]), float(form[2]))
+    setting = _SETTING.fullmatch(text)
+    if setting is not None:
+        return _unreadable(int(setting[1]), float(setting[2]))
     if text in _QUESTIONS or text in _SWITCH_OFF:
         return ""
     return next((why for pattern, why in _REASONS if pattern.match(text)), _PROGRAM)
@@ -194,9 +194,9 @@ class Traffic:
 
     def take(self) -> list[Exchange]:
         """Return the exchanges since the last call."""
-        found = list(self._fresh)
+        exchanges = list(self._fresh)
         self._fresh.clear()
-        return found
+        return exchanges
 
     def _keep(self, kind: str, text: str, words: str = "") -> None:
         self._fresh.append(Exchange(round(time.time(), 3), kind, text, words))
@@ -285,8 +285,8 @@ class GrblBoard:
         port = self._controller.port
         self._traffic.typed(line.text)
         port.send(f"{line.text}\n".encode())
-        until = clock_s() + _ANSWER_S
-        while clock_s() < until and not port.lost:
+        until_s = clock_s() + _ANSWER_S
+        while clock_s() < until_s and not port.lost:
             heard = port.receive(_LISTEN_S)
             if heard == "ok" or (heard is not None and heard.startswith(("error", "ALARM"))):
                 return heard

@@ -114,10 +114,10 @@ class Controller:
         CommandError
             If its reports cannot be read, it lacks an axis, or its receive buffer is too small.
         """
-        found = self.ask_status()
-        if found.state not in {"Idle", "Alarm"}:
+        status = self.ask_status()
+        if status.state not in {"Idle", "Alarm"}:
             raise LinkFaultError(
-                f"the controller is not at rest: it{found.words.removeprefix('the controller')}",
+                f"the controller is not at rest: it{status.words.removeprefix('the controller')}",
                 remedy="Bring it to Idle by its own means; no motion was sent.",
             )
         self.port.send(RESET)  # at rest: clears modes and lines of an earlier sender
@@ -190,13 +190,13 @@ class Controller:
                     f"the controller shifts its coordinates: {line}",
                     remedy="Clear it (G10 L2 P1 X0 Y0 Z0, G92.1), then home again.",
                 )
-        found = self.ask_status()
-        if found.state != "Idle":
+        status = self.ask_status()
+        if status.state != "Idle":
             raise LinkFaultError(
-                f"the controller is not ready: its state is {found.state}",
+                f"the controller is not ready: its state is {status.state}",
                 remedy="Clear its alarm by its own means, and home it.",
             )
-        return self.position(found)
+        return self.position(status)
 
     def ask(
         self, line: bytes, timeout_s: float, stopped: Callable[[], bool] | None = None
@@ -211,12 +211,12 @@ class Controller:
         """
         self.port.send(line)
         looked_s = clock_s()
-        until, found = looked_s + timeout_s, list[str]()
-        while (left_s := until - clock_s()) > 0.0 and not self.port.lost:
+        until_s, lines = looked_s + timeout_s, list[str]()
+        while (left_s := until_s - clock_s()) > 0.0 and not self.port.lost:
             heard = self.port.receive(left_s if stopped is None else min(left_s, _LISTEN_S))
             if stopped is not None:
-                away_s, looked_s = clock_s() - looked_s, clock_s()
-                slept = f"this program did not run for {away_s:.1f} s" * (away_s > ASLEEP_S)
+                absent_s, looked_s = clock_s() - looked_s, clock_s()
+                slept = f"this program did not run for {absent_s:.1f} s" * (absent_s > ASLEEP_S)
                 if slept or stopped():
                     self.port.send(RESET)
                     raise LinkFaultError(
@@ -224,13 +224,13 @@ class Controller:
                         remedy="Clear its alarm by its own means, and home it.",
                     )
             if heard == "ok":
-                return found
+                return lines
             if heard is not None and heard.startswith(("error", "ALARM")):
                 raise LinkFaultError(
                     f"the controller refused {line.strip().decode()!r}: {in_words(heard)}"
                 )
             if heard is not None:
-                found.append(heard)
+                lines.append(heard)
         raise LinkFaultError(
             f"the controller did not answer {line.strip().decode()!r}",
             remedy="Check that it is switched on, speaks grbl, and nobody else is connected.",
@@ -238,16 +238,16 @@ class Controller:
 
     def ask_status(self) -> Status:
         """Ask for a status report, and return it; raise LinkFaultError if none comes."""
-        until = clock_s() + _ANSWER_S
-        while (left_s := until - clock_s()) > 0.0 and not self.port.lost:
+        until_s = clock_s() + _ANSWER_S
+        while (left_s := until_s - clock_s()) > 0.0 and not self.port.lost:
             self.port.send(STATUS)
-            again = clock_s() + min(left_s, 0.5)
-            while (wait_s := again - clock_s()) > 0.0:
+            ask_again_s = clock_s() + min(left_s, 0.5)
+            while (wait_s := ask_again_s - clock_s()) > 0.0:
                 heard = self.port.receive(wait_s)
                 if heard is None:
                     break
-                if (found := status_of(heard)) is not None:
-                    return found
+                if (status := status_of(heard)) is not None:
+                    return status
         raise LinkFaultError(
             "the controller did not answer",
             remedy="Check that it is switched on, speaks grbl, and nobody else is connected.",
@@ -255,9 +255,9 @@ class Controller:
 
     def _quiet(self) -> None:
         """Read until nothing more comes; raise LinkFaultError if lines come without end."""
-        until = clock_s() + _QUIET_S
+        until_s = clock_s() + _QUIET_S
         while self.port.receive(0.5) is not None:
-            if clock_s() >= until:
+            if clock_s() >= until_s:
                 raise LinkFaultError(
                     f"the controller was reset, and has not been quiet for {_QUIET_S:g} s",
                     remedy="Check that it speaks grbl, and sends no reports by itself.",
@@ -306,22 +306,22 @@ class Controller:
         machine, self.brakes_s = self.machine, 0.0
         wanted = wanted_of(machine, self._letters)
         for name, letter in zip(machine.axis_names, self._columns(), strict=True):
-            for first, exact, what in (
+            for first_number, exact, quantity in (
                 (STEPS, True, "steps"),
                 (RATE, False, "speed"),
                 (ACCELERATION, False, "acceleration"),
             ):
-                number = first + letter
-                has, right = number_of(self._texts.get(number, "")), wanted[number]
-                high = 0.0 < has <= right * (1.0 + SAME)
-                if not high or (exact and has < right * (1.0 - SAME)):
+                number = first_number + letter
+                board_value, wanted_value = number_of(self._texts.get(number, "")), wanted[number]
+                within_limit = 0.0 < board_value <= wanted_value * (1.0 + SAME)
+                if not within_limit or (exact and board_value < wanted_value * (1.0 - SAME)):
                     raise CommandError(
-                        f"${number}={has:g} of the controller: the {what} of {name} in "
-                        f"{machine.name} is {right:.6g}",
-                        remedy=f"Set ${number}={right:.6g}, or correct the machine file.",
+                        f"${number}={board_value:g} of the controller: the {quantity} of {name} in "
+                        f"{machine.name} is {wanted_value:.6g}",
+                        remedy=f"Set ${number}={wanted_value:.6g}, or correct the machine file.",
                     )
-            speed, gain = (number_of(self._texts[n + letter]) for n in (RATE, ACCELERATION))
-            self.brakes_s = max(self.brakes_s, speed / 60.0 / gain)
+            speed, acceleration = (number_of(self._texts[n + letter]) for n in (RATE, ACCELERATION))
+            self.brakes_s = max(self.brakes_s, speed / 60.0 / acceleration)
 
     def position(self, found: Status) -> FloatArray:
         """Return the (axes,) position in a status report, m or rad.
@@ -456,16 +456,20 @@ class GrblJog:
 
     def feed(self, at: float) -> None:
         """Send the next piece of the jog if it is due; the axis is at ``at``, m or rad."""
-        piece = self._speed * _SEGMENT_S
-        held = abs(self._sent_to - at)
-        if self._waits or self.cancelled or held + piece > self._speed * AHEAD_S * (1.0 + 1e-9):
+        piece_si = self._speed * _SEGMENT_S
+        ahead_si = abs(self._sent_to - at)
+        if (
+            self._waits
+            or self.cancelled
+            or ahead_si + piece_si > self._speed * AHEAD_S * (1.0 + 1e-9)
+        ):
             return
         if self._complete:
             if self._stops_at_travel:
                 self.why = "the end of its travel"
             return
-        to = self._sent_to + self._sign * piece
-        self._sent_to = min(to, self._end) if self._sign > 0.0 else max(to, self._end)
+        next_si = self._sent_to + self._sign * piece_si
+        self._sent_to = min(next_si, self._end) if self._sign > 0.0 else max(next_si, self._end)
         feed = 60.0 * self._speed / self._unit
         self._port.send(
             f"$J=G21G90G53{self._axis}{self._sent_to / self._unit:.4f}F{feed:.2f}\n".encode()
@@ -491,5 +495,5 @@ class GrblJog:
 
     def rests(self, found: Status) -> bool:
         """Return whether a report says that the motion is over."""
-        known = self._asked_since and not self._waits
-        return known and found.state == "Idle" and (self.cancelled or self._complete)
+        is_reported = self._asked_since and not self._waits
+        return is_reported and found.state == "Idle" and (self.cancelled or self._complete)

@@ -71,8 +71,8 @@ class GrblOperated(GrblRun):
     @property
     def share_done(self) -> float | None:
         """Share of the program's nominal time, at its feeds, that the reports have passed."""
-        whole = float(self._program.durations_s.sum())
-        return self.plan_s / whole if whole else 0.0
+        whole_s = float(self._program.durations_s.sum())
+        return self.plan_s / whole_s if whole_s else 0.0
 
     @property
     def under_way(self) -> bool:
@@ -274,10 +274,10 @@ class GrblOperated(GrblRun):
             If the machine is not idle, has no such axis, or the position is beyond its travel.
         """
         next_state(self.state, Cause.JOG)
-        most = fastest_by_hand(self.controller, axis)
+        manual_feed = fastest_by_hand(self.controller, axis)
         k = self._machine.axis_names.index(axis)
         end = to_counts / float(self._machine.counts_per_unit[k])
-        velocity = most if end >= self._at[k] else -most
+        velocity = manual_feed if end >= self._at[k] else -manual_feed
         self._begin_by_hand(axis, velocity, end, min(lease_s, LEASE_S))
 
     def _begin_by_hand(self, axis: str, velocity: float, end: float | None, lease_s: float) -> None:

@@ -72,14 +72,14 @@ def written_program(plan: Plan) -> tuple[Program, Mapping[str, bytes]]:
 
 def _operations(plan: Plan, rows: IntArray) -> IntArray:
     """Return the operations at ascending ticks; after the last tick the last operation."""
-    found = np.zeros(len(rows), dtype=np.int64)
+    operations = np.zeros(len(rows), dtype=np.int64)
     for block in tick_table(plan.commands):
         if not len(block):
             continue
         begin, end = np.searchsorted(rows, [block.first_tick, block.first_tick + len(block)])
-        found[begin:end] = block.operation[rows[begin:end] - block.first_tick]
-        found[end:] = block.operation[-1]
-    return found
+        operations[begin:end] = block.operation[rows[begin:end] - block.first_tick]
+        operations[end:] = block.operation[-1]
+    return operations
 
 
 def rest_of_program(program: Program, plan: Plan, operation: int) -> tuple[Rest, Program]:
@@ -105,31 +105,35 @@ def rest_of_program(program: Program, plan: Plan, operation: int) -> tuple[Rest,
         If the operation is not in this job.
     """
     machine, lines = plan.machine, program.lines
-    works = [k for k, line in enumerate(lines) if _WORKS.match(line)]
+    working_lines = [k for k, line in enumerate(lines) if _WORKS.match(line)]
     began = _first_row(plan, operation)
-    first = max(k for k in works if k == works[0] or program.rows[k] <= began + 1)  # it is rounded
+    first = max(
+        k for k in working_lines if k == working_lines[0] or program.rows[k] <= began + 1
+    )  # it is rounded
     starts = run_kind_of(machine).start(plan.commands) / machine.counts_per_unit
     begins = program.ends[first - 1] if first else starts
-    before = [line for line in lines[: works[0]] if not line.startswith(_SHIFTS)]
-    feeds = [found for line in lines[:first] for found in _FEED.findall(line)]
-    motions = [found for line in lines[:first] for found in _MOTION.findall(line)]
-    again = [
-        *before,
+    kept_lines = [line for line in lines[: working_lines[0]] if not line.startswith(_SHIFTS)]
+    feeds = [rest_rows for line in lines[:first] for rest_rows in _FEED.findall(line)]
+    motions = [rest_rows for line in lines[:first] for rest_rows in _MOTION.findall(line)]
+    preparing = [
+        *kept_lines,
         *([b"G1 F" + feeds[-1] + b"\n"] if feeds else []),
         *([b"G0\n"] if motions[-1:] == [b"G0"] else []),
         *_switched(lines[:first]),
     ]
-    text = b"".join([*again, *lines[first:]])
-    rest = program_of(text, machine.axis_names, units_of(machine), begins)
-    row, of = int(program.rows[first]), int(program.operations[first])
+    text = b"".join([*preparing, *lines[first:]])
+    rest_program = program_of(text, machine.axis_names, units_of(machine), begins)
+    row, line_operation = int(program.rows[first]), int(program.operations[first])
     if row >= began - 1:
-        of = operation
-    found = rest_from_row(plan.commands, row, of)
+        line_operation = operation
+    rest_rows = rest_from_row(plan.commands, row, line_operation)
     counts = np.rint(begins * machine.counts_per_unit).astype(np.int64)
-    return replace(found, begins=counts), replace(
-        rest,
-        rows=np.concatenate([np.full(len(again), row), program.rows[first:]]) - row,
-        operations=np.concatenate([np.full(len(again), of), program.operations[first:]]).clip(of),
+    return replace(rest_rows, begins=counts), replace(
+        rest_program,
+        rows=np.concatenate([np.full(len(preparing), row), program.rows[first:]]) - row,
+        operations=np.concatenate(
+            [np.full(len(preparing), line_operation), program.operations[first:]]
+        ).clip(line_operation),
     )
 
 
@@ -155,9 +159,9 @@ def _switched(lines: Sequence[bytes]) -> list[bytes]:
 
 def _first_row(plan: Plan, operation: int) -> int:
     for block in tick_table(plan.commands):
-        of = np.flatnonzero(block.operation >= operation)
-        if len(of):
-            return block.first_tick + int(of[0])
+        rows = np.flatnonzero(block.operation >= operation)
+        if len(rows):
+            return block.first_tick + int(rows[0])
     raise CommandError(
         f"operation {operation} is not in this job", remedy="Continue the run of this job."
     )
@@ -237,18 +241,18 @@ class ReportTrace:
             (n + 1,) the operations.
         """
         period_s = float(_CLOCK.period_s)
-        times = period_s * np.arange(self.tick, int(now_s / period_s) + 1)
-        known = [self._sample_s, max(now_s, self._sample_s + 1e-9)]
+        times_s = period_s * np.arange(self.tick, int(now_s / period_s) + 1)
+        report_times_s = [self._sample_s, max(now_s, self._sample_s + 1e-9)]
         samples = {
-            channel.name: np.interp(times, known, [self._before[k], at[k]])
+            channel.name: np.interp(times_s, report_times_s, [self._before[k], at[k]])
             for k, channel in enumerate(self.channels[:-1])
         }
-        shares = np.interp(times, known, [0.0, 1.0])
-        under_way = operations[np.searchsorted(begins, shares, side="right")]
-        samples[self.channels[-1].name] = under_way.astype(np.float64)
-        if len(times):
+        shares = np.interp(times_s, report_times_s, [0.0, 1.0])
+        operations_now = operations[np.searchsorted(begins, shares, side="right")]
+        samples[self.channels[-1].name] = operations_now.astype(np.float64)
+        if len(times_s):
             self._put(samples)
-        self.tick += len(times)
+        self.tick += len(times_s)
         self._sample_s, self._before = now_s, at
 
     def end(self, ended: RunEnd, text: str) -> None:

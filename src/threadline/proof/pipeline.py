@@ -198,10 +198,8 @@ def open_job(job_file: Path, machine: Machine, options: Options) -> Job:
         reading["needle_speed"] = options.needle
     if options.long_stitches is not None:
         reading["long_stitches"] = options.long_stitches
-    machine_with_radii = with_radii(machine, options.radius)
-    return shifted(
-        read_job(job_file, machine_with_radii, **reading), machine_with_radii, options.offset
-    )
+    fitted = with_radii(machine, options.radius)
+    return shifted(read_job(job_file, fitted, **reading), fitted, options.offset)
 
 
 def plan_job(job: Job, machine: Machine, options: Options) -> Plan:
@@ -216,13 +214,13 @@ def plan_job(job: Job, machine: Machine, options: Options) -> Plan:
     """
     kind, options = kind_of(machine), options.on(machine)
     kind.check_options(machine, options)
-    machine_with_radii = with_radii(machine, options.radius)
+    fitted = with_radii(machine, options.radius)
     if options.product is not None:
         from threadline.winding.product import with_mandrel  # only windings need it
 
-        machine_with_radii = with_mandrel(machine_with_radii, options.product)
-    plan = kind.plan(job, machine_with_radii, options)
-    return plan if machine_with_radii.mounted is None else with_beginning(plan)
+        fitted = with_mandrel(fitted, options.product)
+    plan = kind.plan(job, fitted, options)
+    return plan if fitted.mounted is None else with_beginning(plan)
 
 
 def simulate(commands: Commands, machine: Machine) -> Recording:
@@ -307,14 +305,12 @@ def write(plan: Plan, target: str, out: str | Path, *, slower: bool = True) -> l
         If the commands exceed a limit, or the program is slower than permitted; then nothing is
         written.
     """
-    chosen_target = target_of(target, plan.machine)
+    entry = target_of(target, plan.machine)
     kind_of(plan.machine).release(plan)
     with together():
-        writer = (
-            chosen_target.write if slower else chosen_target.write_no_slower or chosen_target.write
-        )
+        writer = entry.write if slower else entry.write_no_slower or entry.write
         files = writer(plan, Path(out))
-    if chosen_target.takes_shaped or not files:
+    if entry.takes_shaped or not files:
         return files
     # The written file was compared with the plan; the plan itself deviates from the program.
     return [replace(files[0], facts=(*files[0].facts, _off_program(plan))), *files[1:]]
@@ -403,10 +399,8 @@ def prove_plan(
     if trials.repeats == REPEATED_RUNS and verdict.near and kind.together(machine):
         run_count = _runs_within_reach(plan, spec)
         if run_count > trials.repeats:  # the first ``trials.repeats`` runs are the same again
-            more_recordings = kind.days(
-                commands, machine, run_count, np.random.default_rng(REPEAT_SEED)
-            )
-            recordings = of_product(more_recordings, trials.product)
+            more = kind.days(commands, machine, run_count, np.random.default_rng(REPEAT_SEED))
+            recordings = of_product(more, trials.product)
             further_verdict = judge.verdict(Share(plan, progress, len(recordings)).of(recordings))
             verdict = _beside_first(further_verdict, verdict)
     others: tuple[Recording, ...] = ()
@@ -417,20 +411,18 @@ def prove_plan(
             proof = prove_plan(plan, spec, None, one_machine_trials, other_machine, judge)
             return proof.verdict, proof.judged
 
-        plan_on_machine = replace(plan, machine=machine, commands=commands)
+        own_plan = replace(plan, machine=machine, commands=commands)
         worst_case = over_tolerances(
-            plan_on_machine, spec, verdict, trials.machines, runs_of, progress, suspects
+            own_plan, spec, verdict, trials.machines, runs_of, progress, suspects
         )
         verdict, worst, others = worst_case.verdict, worst_case.worst, worst_case.judged
     if trials.wanted_yield is not None:
         parts = drawn(machine, VARIANT_SEED, np.arange(trials.machines))
-        plan_on_actual = plan if actual is None else replace(plan, machine=machine)
-        rejects_result, judged_count = rejects(
-            kind, plan_on_actual, judge, parts, trials.wanted_yield, random
-        )
+        plan_drawn = plan if actual is None else replace(plan, machine=machine)
+        rejects_result, tried = rejects(kind, plan_drawn, judge, parts, trials.wanted_yield, random)
         results = (*verdict.results, rejects_result)
         verdict = replace(
-            verdict, results=results, machines=judged_count, wanted_yield=trials.wanted_yield
+            verdict, results=results, machines=tried, wanted_yield=trials.wanted_yield
         )
     return Proof(
         plan=plan,
@@ -447,24 +439,18 @@ def prove_plan(
 def _runs_within_reach(plan: Plan, spec: Spec) -> int:
     """Return how many runs of a plan are simulated if twenty runs come near a limit."""
     tick_s = float(plan.machine.tick_clock.period_s)
-    affordable = min(
-        _MOST_SAMPLES / (plan.commands.tick_count() or 1), _MOST_HELD * tick_s / spec.lag_s
-    )
-    return min(MOST_RUNS, int(affordable))
+    runs = min(_MOST_SAMPLES / (plan.commands.tick_count() or 1), _MOST_HELD * tick_s / spec.lag_s)
+    return min(MOST_RUNS, int(runs))
 
 
 def _beside_first(verdict: Verdict, first: Verdict) -> Verdict:
     """Return the verdict of many runs, with notes on the results of the first runs."""
     results = []
-    for result, first_result in zip(verdict.results, first.results, strict=True):
+    for result, early in zip(verdict.results, first.results, strict=True):
         note = result.note
-        if result.limit and result.typical is not None and result.measured != first_result.measured:
-            first_text = (
-                "-"
-                if first_result.measured is None
-                else shown(first_result.measured, first_result.unit)
-            )
-            note = "; ".join(filter(None, (note, f"{first_text} in the first {first.runs} runs")))
+        if result.limit and result.typical is not None and result.measured != early.measured:
+            came = "-" if early.measured is None else shown(early.measured, early.unit)
+            note = "; ".join(filter(None, (note, f"{came} in the first {first.runs} runs")))
         results.append(replace(result, note=note))
     return replace(verdict, results=tuple(results))
 
@@ -478,14 +464,10 @@ def _with_others(
     verdict = proof.verdict
     for name, others in trials.others(plan.machine if actual is None else actual).items():
         verdicts = []
-        for label, other_machine in others.machines:
+        for label, other in others.machines:
             # Amplitudes computed from place and speed depend on the mode of the machine that ran.
-            own_judge = (
-                Judge(replace(plan, machine=other_machine), spec) if name == "band" else judge
-            )
-            verdicts.append(
-                (label, prove_plan(plan, spec, None, NOMINAL, other_machine, own_judge).verdict)
-            )
+            judging = Judge(replace(plan, machine=other), spec) if name == "band" else judge
+            verdicts.append((label, prove_plan(plan, spec, None, NOMINAL, other, judging).verdict))
         verdict = worst_of(verdict, verdicts, name)
     return replace(proof, verdict=verdict)
 

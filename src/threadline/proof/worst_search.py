@@ -154,8 +154,8 @@ class WorstSearch:
         """Add machines at (k, n) ``parts`` that were judged elsewhere."""
         shares = row_shares(found)
         first_index = len(self._bad)
-        for k, machine_parts in enumerate(parts):
-            self._known.setdefault(_key(machine_parts), first_index + k)
+        for k, machine in enumerate(parts):
+            self._known.setdefault(_key(machine), first_index + k)
         self._parts.append(parts)
         self._found.append(found)
         self._shares = shares if not first_index else np.concatenate([self._shares, shares], axis=1)
@@ -170,16 +170,14 @@ class WorstSearch:
     def tried(self, parts: FloatArray) -> IntArray:
         """Judge the new machines among (k, n) ``parts``; return the (k,) indices of all of them."""
         new_parts: dict[bytes, FloatArray] = {}
-        for machine_parts in parts:
-            if (key := _key(machine_parts)) not in self._known:
-                new_parts.setdefault(key, machine_parts)
+        for machine in parts:
+            if (key := _key(machine)) not in self._known:
+                new_parts.setdefault(key, machine)
         if new_parts:
             to_judge = np.stack(list(new_parts.values()))
             self.searched += len(to_judge)
             self.add(to_judge, self._within.judged(to_judge, self.done))
-        return np.array(
-            [self._known[_key(machine_parts)] for machine_parts in parts], dtype=np.int64
-        )
+        return np.array([self._known[_key(machine)] for machine in parts], dtype=np.int64)
 
     def worst(self) -> int:
         """Return the index of the worst machine; machines out of specification come first."""
@@ -264,15 +262,11 @@ class WorstSearch:
     def _ends(self) -> None:
         ends, singles = self._within.ends, self._within.singles
         indices = self.tried(np.concatenate([np.zeros((1, len(ends))), singles]))
-        nominal_shares, low_shares, high_shares = (
+        nominal, low, high = (
             _clipped(self._shares[:, k]) for k in (indices[:1], indices[1::2], indices[2::2])
         )
-        effect = np.maximum(
-            np.abs(low_shares - nominal_shares), np.abs(high_shares - nominal_shares)
-        )
-        self._slopes = np.where(
-            effect > _MATTERS, np.where(high_shares >= low_shares, 1.0, -1.0), 0.0
-        )
+        effect = np.maximum(np.abs(low - nominal), np.abs(high - nominal))
+        self._slopes = np.where(effect > _MATTERS, np.where(high >= low, 1.0, -1.0), 0.0)
         # A number without effect on a share may still have one at a corner: keep every number that
         # changes a value.
         values = np.stack([row.values for row in self.found.rows if not row.of_plan])[:, indices]
@@ -367,20 +361,17 @@ class WorstSearch:
             row = int(self._worst_rows()[0])
             return [(row, int(np.argmax(_clipped(self._shares[row]))))]
         rows = self._near_rows()
-        starts_by_row = []
+        by_row = []
         for row in rows:
             order = np.argsort(-_clipped(self._shares[row]), kind="stable").tolist()
             # Machines that differ only in numbers without effect on this row lead to the same end.
             effective = np.flatnonzero(self._slopes[row])
-            starts_by_row.append(
-                [
-                    (row, machine_index)
-                    for machine_index in self._tell_apart(order, _STARTS, _APART, effective)
-                ]
+            by_row.append(
+                [(row, index) for index in self._tell_apart(order, _STARTS, _APART, effective)]
             )
         first, others = (
-            [row_starts[0] for row_starts in starts_by_row],
-            [start for row_starts in starts_by_row for start in row_starts[1:]],
+            [row_starts[0] for row_starts in by_row],
+            [start for row_starts in by_row for start in row_starts[1:]],
         )
         return [*first, *others][:_STARTS]
 
@@ -392,49 +383,41 @@ class WorstSearch:
     def _kicked(self, ended: Sequence[_Climb], count: int) -> list[_Climb]:
         """Return climbs that start at the worst ends of climbs, with a few numbers changed."""
         best, parts = self._best(ended)[:_KICKED], []
-        kicked_ends = [best[int(k)] for k in self._random.integers(0, len(best), count)]
-        for row, machine_index in kicked_ends:
+        chosen = [best[int(k)] for k in self._random.integers(0, len(best), count)]
+        for row, index in chosen:
             effective = np.array(
-                sorted({*self._moving.tolist()} - self._idle.get((row, machine_index), set()))
+                sorted({*self._moving.tolist()} - self._idle.get((row, index), set()))
             )
-            machine_parts = self.parts[machine_index].copy()
+            machine = self.parts[index].copy()
             if len(effective):
-                changed_numbers = self._random.choice(
-                    effective, min(_KICK, len(effective)), replace=False
+                changed = self._random.choice(effective, min(_KICK, len(effective)), replace=False)
+                machine[changed] = (
+                    np.where(machine[changed] > 0.0, -1.0, 1.0) * self._within.ends[changed]
                 )
-                machine_parts[changed_numbers] = (
-                    np.where(machine_parts[changed_numbers] > 0.0, -1.0, 1.0)
-                    * self._within.ends[changed_numbers]
-                )
-            parts.append(machine_parts)
+            parts.append(machine)
         indices = self._try_some(np.stack(parts)).tolist()
-        return [
-            (row, machine_index)
-            for (row, _), machine_index in zip(kicked_ends, indices, strict=False)
-        ]
+        return [(row, index) for (row, _), index in zip(chosen, indices, strict=False)]
 
     def _flips(self, climb: _Climb) -> list[FloatArray]:
         """Return the machines of a climb's next step: each has one number moved to another end."""
-        machines, (_, machine_index) = [], climb
+        machines, (_, index) = [], climb
         for k in self._told(climb):
             farthest = self._within.ends[k]
             for end in (farthest, -farthest):
-                machine_parts = self.parts[machine_index].copy()
-                if machine_parts[k] != end and (
-                    machine_parts[k] != -end or abs(machine_parts[k]) == farthest
-                ):
-                    machine_parts[k] = end
-                    machines.append(machine_parts)
+                machine = self.parts[index].copy()
+                if machine[k] != end and (machine[k] != -end or abs(machine[k]) == farthest):
+                    machine[k] = end
+                    machines.append(machine)
         return machines
 
     def _inside(self, climb: _Climb) -> list[FloatArray]:
         """Return the machines with one number at its nominal value, or half-way to it."""
-        machines, (_, machine_index) = [], climb
+        machines, (_, index) = [], climb
         for k in self._told(climb):
             for factor in (0.0, 0.5):
-                machine_parts = self.parts[machine_index].copy()
-                machine_parts[k] *= factor
-                machines.append(machine_parts)
+                machine = self.parts[index].copy()
+                machine[k] *= factor
+                machines.append(machine)
         return machines
 
     def _told(self, climb: _Climb) -> list[int]:
@@ -453,41 +436,37 @@ class WorstSearch:
         all_parts = [one for some_parts in trial_parts for one in some_parts]
         if not all_parts:
             return [], []
-        indices = iter(self._try_some(np.stack(all_parts)).tolist())
-        summed_parts, better_by_climb = [], []
-        for (row, machine_index), some_parts in zip(climbs, trial_parts, strict=True):
-            own_share = _clipped(self._shares[row])[machine_index]
-            judged_here = [(k, n) for k, n in zip(some_parts, indices, strict=False)]
+        tried = iter(self._try_some(np.stack(all_parts)).tolist())
+        sums_by_climb, better_sets = [], []
+        for (row, index), some_parts in zip(climbs, trial_parts, strict=True):
+            own_share = _clipped(self._shares[row])[index]
+            judged_here = [(k, n) for k, n in zip(some_parts, tried, strict=False)]
             gains = sorted(
                 ((float(_clipped(self._shares[row])[n]) - own_share, n) for _, n in judged_here),
                 key=lambda one: (-round(one[0], 9), one[1]),
             )
             better = [n for gain, n in gains if gain > _BETTER]
-            idle = self._without_effect(machine_index, gains)
-            self._idle[row, machine_index] = (
-                self._idle.get((row, machine_index), frozenset()) | idle
-            )
-            better_by_climb.append(better)
+            idle = self._without_effect(index, gains)
+            self._idle[row, index] = self._idle.get((row, index), frozenset()) | idle
+            better_sets.append(better)
             summed = []
             for change_count in dict.fromkeys((len(better), (len(better) + 1) // 2, 2)):
                 if 1 < change_count <= len(better):
-                    summed.append(self._summed(machine_index, better[:change_count]))
-            summed_parts.append(summed)
-        all_parts = [one for summed in summed_parts for one in summed]
-        indices = iter(
+                    summed.append(self._summed(index, better[:change_count]))
+            sums_by_climb.append(summed)
+        all_parts = [one for summed in sums_by_climb for one in summed]
+        tried = iter(
             self._try_some(np.stack(all_parts)).tolist() if all_parts and self._left > 0 else []
         )
         continued, ended = [], []
-        for (row, machine_index), better, summed in zip(
-            climbs, better_by_climb, summed_parts, strict=True
-        ):
-            end_indices = [*better, *(n for _, n in zip(summed, indices, strict=False))]
+        for (row, index), better, summed in zip(climbs, better_sets, sums_by_climb, strict=True):
+            end_indices = [*better, *(n for _, n in zip(summed, tried, strict=False))]
             if not better:
-                ended.append((row, machine_index))
+                ended.append((row, index))
                 continue
             end_shares = np.round(_clipped(self._shares[row])[end_indices], 9)
             continued.append((row, end_indices[int(np.argmax(end_shares))]))
-            self._idle.setdefault(continued[-1], self._idle[row, machine_index])
+            self._idle.setdefault(continued[-1], self._idle[row, index])
         return list(dict.fromkeys(continued)), ended
 
     def _without_effect(self, start: int, gains: Sequence[tuple[float, int]]) -> frozenset[int]:

@@ -164,20 +164,16 @@ def _sampled(proof: Proof) -> _Run:
     frames = int(min(MOST_FRAMES, max(24.0, min(end_s, _LONGEST_S) * _PER_SECOND)))
     time_s = np.linspace(0.0, end_s, frames * _TRAIL_PER_FRAME)
     channel_names = {channel.name for channel in recording.channels}
-    names = [
-        channel_name
-        for channel_name in channel_names
-        if channel_name.endswith(".frame") or channel_name == "needle"
-    ]
+    names = [key for key in channel_names if key.endswith(".frame") or key == "needle"]
     loads = {
         name: f"{name}.load" if f"{name}.load" in channel_names else f"{name}.measured"
         for name in plan.axes
     }
-    wanted_names = {*names, *(load for load in loads.values() if load in channel_names)}
-    wanted_names |= {f"{name}.commanded" for name in plan.axes}
+    names_read = {*names, *(load for load in loads.values() if load in channel_names)}
+    names_read |= {f"{name}.commanded" for name in plan.axes}
     at = {
         name: np.interp(time_s, *samples)
-        for name, samples in recording.samples_of(wanted_names).items()
+        for name, samples in recording.samples_of(names_read).items()
     }
     actual, planned = {}, {}
     for name, load in loads.items():
@@ -290,10 +286,10 @@ def _winder(proof: Proof, run: _Run, turning: str, going: list[str]) -> Scene:
             len(x_mm), _MM * float(machine.radius_m[list(machine.axes).index(turning)])
         )
     else:
-        profile_x_mm, profile_radius_mm = (
+        x_at, radius_at = (
             [_MM * one.si for one in column] for column in (axis.profile.at, axis.profile.radius)
         )
-        radius = np.interp(x_mm, profile_x_mm, profile_radius_mm)
+        radius = np.interp(x_mm, x_at, radius_at)
     largest = float(radius.max())
     angles = np.linspace(0.0, 2.0 * math.pi, 49)
     body = []
@@ -336,11 +332,9 @@ def _winder(proof: Proof, run: _Run, turning: str, going: list[str]) -> Scene:
 
     def laid(values: Mapping[str, FloatArray]) -> FloatArray:
         laid_x_mm = values[going[0]]
-        profile_radius_mm = np.interp(laid_x_mm, x_mm, radius)
+        radius_at = np.interp(laid_x_mm, x_mm, radius)
         angle = math.pi - values[turning]  # the fibre is laid on the carriage's side
-        return np.column_stack(
-            [laid_x_mm, profile_radius_mm * np.cos(angle), profile_radius_mm * np.sin(angle)]
-        )
+        return np.column_stack([laid_x_mm, radius_at * np.cos(angle), radius_at * np.sin(angle)])
 
     groups = {
         "mandrel": Group(np.zeros((len(run.frames), 3)), run.actual[turning][run.frames]),
@@ -414,36 +408,28 @@ def _placer(proof: Proof, run: _Run) -> Scene:
     z = run.actual[names[1]] if len(names) > 1 else np.zeros_like(x)
     sway = {one: values for one, values in run.other.items() if one.endswith(".frame")}
     swing = _MM * _SWING_DRAWN * sway.get(f"{names[0]}.frame", np.zeros_like(x))
-    width, depth = max(float(x.max()), 1.0), max(float(z.max()), 1.0)
-    foot = -1.5 * depth
-    beam = 0.25 * depth
+    wide, deep = max(float(x.max()), 1.0), max(float(z.max()), 1.0)
+    foot = -1.5 * deep
+    beam = 0.25 * deep
     lines = [
         Drawn(
-            _box((-0.2 * width, 1.2 * width), (-8.0, 8.0), (beam, beam + 0.12 * depth)),
+            _box((-0.2 * wide, 1.2 * wide), (-8.0, 8.0), (beam, beam + 0.12 * deep)),
             "frame",
             0.8,
             1.4,
         ),
-        Drawn(_box((-0.2 * width, -0.15 * width), (-8.0, 8.0), (foot, beam)), "frame", 0.7),
-        Drawn(_box((1.15 * width, 1.2 * width), (-8.0, 8.0), (foot, beam)), "frame", 0.7),
+        Drawn(_box((-0.2 * wide, -0.15 * wide), (-8.0, 8.0), (foot, beam)), "frame", 0.7),
+        Drawn(_box((1.15 * wide, 1.2 * wide), (-8.0, 8.0), (foot, beam)), "frame", 0.7),
         Drawn(
-            np.array([[-0.3 * width, 0, foot], [1.3 * width, 0, foot]], dtype=float),
-            FIXED,
-            0.6,
-            2.0,
+            np.array([[-0.3 * wide, 0, foot], [1.3 * wide, 0, foot]], dtype=float), FIXED, 0.6, 2.0
         ),
         Drawn(
-            _box((-0.06 * width, 0.06 * width), (-10.0, 10.0), (0.05 * depth, beam)),
-            "slide",
-            0.9,
-            1.4,
+            _box((-0.06 * wide, 0.06 * wide), (-10.0, 10.0), (0.05 * deep, beam)), "slide", 0.9, 1.4
         ),
         Drawn(
-            _box((-0.012 * width, 0.012 * width), (-2.0, 2.0), (0.0, 1.15 * depth)), "rod", 0.6, 1.0
+            _box((-0.012 * wide, 0.012 * wide), (-2.0, 2.0), (0.0, 1.15 * deep)), "rod", 0.6, 1.0
         ),
-        Drawn(
-            _box((-0.04 * width, 0.04 * width), (-8.0, 8.0), (-0.1 * depth, 0.0)), "rod", 0.95, 1.6
-        ),
+        Drawn(_box((-0.04 * wide, 0.04 * wide), (-8.0, 8.0), (-0.1 * deep, 0.0)), "rod", 0.95, 1.6),
     ]
     groups = {
         "frame": _moving(run, x=swing),
