@@ -59,23 +59,25 @@ def actuator_of(machine: Machine, axis: str) -> Actuator:
     """Return the actuator of an axis."""
     name = machine.controller_of(axis).drive
     drive = machine.motors[name]
-    alone = dataclasses.replace(machine, links={})
-    model = next(m for m in linear_model(alone) if f"drives.{name}" in m.inputs)
+    unlinked = dataclasses.replace(machine, links={})
+    model = next(m for m in linear_model(unlinked) if f"drives.{name}" in m.inputs)
     rates = [model.states.index(f"{body}'") for body in drive.acts_on]
-    coil = [k for k, state in enumerate(model.states) if state == f"{name}.i"]
-    kept = rates + coil
-    A = model.A[np.ix_(kept, kept)]
-    b = model.B[kept, model.inputs.index(f"drives.{name}")]
-    speed = np.array([q.si for q in drive.acts_on.values()] + [0.0] * len(coil))
+    coil_states = [k for k, state in enumerate(model.states) if state == f"{name}.i"]
+    state_index = rates + coil_states
+    A = model.A[np.ix_(state_index, state_index)]
+    b = model.B[state_index, model.inputs.index(f"drives.{name}")]
+    speed = np.array([q.si for q in drive.acts_on.values()] + [0.0] * len(coil_states))
     poles = np.asarray(np.linalg.eigvals(A), dtype=np.complex128)
-    settles = float(np.abs(poles).min()) > _SINGULAR * max(1.0, float(np.abs(poles).max()))
-    pair = swinging(A)
+    invertible = float(np.abs(poles).min()) > _SINGULAR * max(1.0, float(np.abs(poles).max()))
+    oscillating_poles = swinging(A)
     return Actuator(
-        dc_gain=float(-speed @ np.linalg.solve(A, b)) if settles else None,
-        loaded_dc_gain=_loaded(machine, axis),
+        dc_gain=float(-speed @ np.linalg.solve(A, b)) if invertible else None,
+        loaded_dc_gain=_loaded_dc_gain(machine, axis),
         poles=poles,
-        natural_rad_s=float(abs(pair[0])) if len(pair) else None,
-        damping=float(-pair[0].real / abs(pair[0])) if len(pair) else None,
+        natural_rad_s=float(abs(oscillating_poles[0])) if len(oscillating_poles) else None,
+        damping=float(-oscillating_poles[0].real / abs(oscillating_poles[0]))
+        if len(oscillating_poles)
+        else None,
         delay_s=0.0 if drive.delay is None else drive.delay.si,
     )
 
@@ -92,24 +94,24 @@ def fastest(machine: Machine, axis: str) -> float | None:
     volts = machine.controller_of(axis).dac.range.si
     if amplifier.mode == "voltage" and amplifier.voltage_limit is not None:
         volts = min(volts, amplifier.voltage_limit.si / amplifier.gain.si)
-    turning = drive_rate(machine, axis, rigid_motion(machine, axis))
-    return abs(dc_gain * volts / turning)
+    drive_per_axis = drive_rate(machine, axis, rigid_motion(machine, axis))
+    return abs(dc_gain * volts / drive_per_axis)
 
 
-def _loaded(machine: Machine, axis: str) -> float | None:
+def _loaded_dc_gain(machine: Machine, axis: str) -> float | None:
     drive = machine.drive_of(axis)
     rates = rigid_motion(machine, axis)
-    turning = drive_rate(machine, axis, rates)
-    viscous = current_needed(machine, axis, 1.0, 0.0) - current_needed(machine, axis, 0.0, 0.0)
-    friction = sum(
+    drive_per_axis = drive_rate(machine, axis, rates)
+    viscous_a = current_needed(machine, axis, 1.0, 0.0) - current_needed(machine, axis, 0.0, 0.0)
+    friction_force = sum(
         abs(rates[n]) * b.friction.si for n, b in machine.bodies.items() if b.friction is not None
     )
-    viscous -= friction / (turning * drive.torque_constant.si)
+    viscous_a -= friction_force / (drive_per_axis * drive.torque_constant.si)
     gain = drive.amplifier.gain.si
     if drive.amplifier.mode == "current":
-        return None if viscous <= 0 else gain * turning / viscous
-    volts = drive.resistance.si * viscous + drive.back_emf.si * turning
-    return None if volts <= 0 else gain * turning / volts
+        return None if viscous_a <= 0 else gain * drive_per_axis / viscous_a
+    volts = drive.resistance.si * viscous_a + drive.back_emf.si * drive_per_axis
+    return None if volts <= 0 else gain * drive_per_axis / volts
 
 
 HERTZ = 1.0 / (2.0 * np.pi)
@@ -158,8 +160,10 @@ class LoopFigures:
 
     def as_json(self) -> dict[str, Any]:
         """Return the figures as JSON content."""
-        gain, worst = self.gain_margin, self.margins.worst_phase
-        at = [c.omega_rad_s for c in self.margins.phase_crossovers if c.gain_factor == gain]
+        gain, worst_phase = self.gain_margin, self.margins.worst_phase
+        omegas_rad_s = [
+            c.omega_rad_s for c in self.margins.phase_crossovers if c.gain_factor == gain
+        ]
         return {
             "stable": self.stable,
             "unstable_poles": self.unstable,
@@ -167,9 +171,9 @@ class LoopFigures:
             "gain_margin": gain,
             "gain_margin_db": None if gain is None else 20.0 * float(np.log10(gain)),
             "gain_margin_below": self.margins.lower_to if self.stable else None,
-            "phase_crossover_hz": at[0] * HERTZ if at else None,
-            "phase_margin_deg": None if worst is None else worst.phase_margin_deg,
-            "crossover_hz": None if worst is None else worst.omega_rad_s * HERTZ,
+            "phase_crossover_hz": omegas_rad_s[0] * HERTZ if omegas_rad_s else None,
+            "phase_margin_deg": None if worst_phase is None else worst_phase.phase_margin_deg,
+            "crossover_hz": None if worst_phase is None else worst_phase.omega_rad_s * HERTZ,
             "delay_margin_s": self.margins.delay_margin_s if self.stable else None,
             "modulus_margin": self.margins.modulus_margin,
             "poles_rad_s": [[float(p.real), float(p.imag)] for p in self.poles[:12]],
@@ -262,7 +266,7 @@ def analyse_axis(machine: Machine, axis: str) -> AxisAnalysis:
     """
     loop = axis_loop(machine, axis)
     _check_gain(machine, loop)
-    own = loop.axis_plant()
+    axis_plant = loop.axis_plant()
     steps = {name: step_response(loop, name) for name in ("measured", "load")}
     return AxisAnalysis(
         axis=axis,
@@ -273,8 +277,8 @@ def analyse_axis(machine: Machine, axis: str) -> AxisAnalysis:
         locked=locked_modes(machine, axis),
         free=free_modes(machine, axis),
         actuator=actuator_of(machine, axis),
-        plant_poles=_sorted(own.poles()),
-        plant_zeros=_sorted(zeros_of(own)),
+        plant_poles=_sorted(axis_plant.poles()),
+        plant_zeros=_sorted(zeros_of(axis_plant)),
         steps={name: step for name, step in steps.items() if step is not None},
     )
 
@@ -283,17 +287,17 @@ def _check_gain(machine: Machine, loop: Loop) -> None:
     """Refuse a loop whose controller has a gain of zero, or a gain outside numerical range."""
     if not loop.single:
         return
-    most = float(np.abs(loop.filters[loop.index].numerator).max())
-    if _LEAST_GAIN <= most <= _MOST_GAIN:
+    largest_gain = float(np.abs(loop.filters[loop.index].numerator).max())
+    if _LEAST_GAIN <= largest_gain <= _MOST_GAIN:
         return
-    what = (
+    fault = (
         "gives 0 V for any error, so there is no loop to analyse"
-        if most == 0.0
-        else f"gives {most:.3g} V for an error of a count, outside "
+        if largest_gain == 0.0
+        else f"gives {largest_gain:.3g} V for an error of a count, outside "
         f"{_LEAST_GAIN:g} ... {_MOST_GAIN:g}"
     )
     raise MachineError(
-        f"axes.{loop.axis}: controllers.{loop.controllers[loop.index]} {what}",
+        f"axes.{loop.axis}: controllers.{loop.controllers[loop.index]} {fault}",
         place=machine.place,
         remedy="Correct its gains.",
     )
@@ -346,10 +350,12 @@ def loop_figures(loop: Loop, model: Model) -> LoopFigures:
 def _verdict(axis: str, figures: LoopFigures) -> str:
     gain = figures.gain_margin
     if figures.stable:
-        worst = figures.margins.worst_phase
-        phase = "" if worst is None else f", phase margin {worst.phase_margin_deg:.1f} deg"
-        room = "any gain" if gain is None else f"up to {gain:.3g} times the gain"
-        return f"axis {axis}: the loop is stable with {room}{phase}"
+        worst_phase = figures.margins.worst_phase
+        phase = (
+            "" if worst_phase is None else f", phase margin {worst_phase.phase_margin_deg:.1f} deg"
+        )
+        gain_text = "any gain" if gain is None else f"up to {gain:.3g} times the gain"
+        return f"axis {axis}: the loop is stable with {gain_text}{phase}"
     if gain is None:
         remedy = "no gain makes it stable"
     elif gain < 1:
@@ -365,27 +371,30 @@ def unstable_loops(machine: Machine) -> list[str]:
     The continuous loop is not computed: if a clock is a thousand times too slow, the dead time of
     half a tick rotates the phase thousands of times, and the calculation would take long.
     """
-    found = []
+    sentences = []
     for axis, loop in axis_loops(machine).items():
         if len(unstable_eigenvalues(loop.closed().A)):
             _check_gain(machine, loop)
-            found.append(_verdict(axis, loop_figures(loop, "sampled")))
-    return found
+            sentences.append(_verdict(axis, loop_figures(loop, "sampled")))
+    return sentences
 
 
 def _routh(loop: Loop) -> tuple[tuple[float, float], ...]:
     """Return the stable gains by Routh's array with a Pade dead time; s is in 100 rad/s."""
-    own, digital = loop.axis_plant(), loop.filters[loop.index]
-    chain, zeros, poles = chain_of(own), zeros_of(own), own.poles()
+    plant, digital = loop.axis_plant(), loop.filters[loop.index]
+    chain, zeros, poles = chain_of(plant), zeros_of(plant), plant.poles()
     degree = len(poles) - len(zeros)
-    top = np.poly(zeros / _SCALE_RAD_S).real * chain.gain / _SCALE_RAD_S**degree
-    bottom = np.poly(poles / _SCALE_RAD_S).real
-    top = np.polymul(top, _in_hundreds(digital.continuous_numerator))
-    bottom = np.polymul(bottom, _in_hundreds(digital.continuous_denominator))
+    numerator = np.poly(zeros / _SCALE_RAD_S).real * chain.gain / _SCALE_RAD_S**degree
+    denominator = np.poly(poles / _SCALE_RAD_S).real
+    numerator = np.polymul(numerator, _in_hundreds(digital.continuous_numerator))
+    denominator = np.polymul(denominator, _in_hundreds(digital.continuous_denominator))
     delay = float(loop.delays_s()[loop.index]) * _SCALE_RAD_S
     if delay > 0:
-        top, bottom = np.polymul(top, [-delay, 2.0]), np.polymul(bottom, [delay, 2.0])
-    return stable_gains(np.asarray(top), np.asarray(bottom))
+        numerator, denominator = (
+            np.polymul(numerator, [-delay, 2.0]),
+            np.polymul(denominator, [delay, 2.0]),
+        )
+    return stable_gains(np.asarray(numerator), np.asarray(denominator))
 
 
 def _in_hundreds(polynomial: FloatArray) -> FloatArray:

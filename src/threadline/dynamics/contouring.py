@@ -59,25 +59,28 @@ def cross_coupled(
                 place=machine.place,
                 remedy='Give it kind "lead" or "pid".',
             )
-    first, second = (
+    first_kind, second_kind = (
         (p.of.clock, p.of.reference_clock, p.of.dac.bits.si, p.of.dac.range.si,
          p.of.dac.zero_on_reversal, p.of.dac.rounding)
         for p in parts
     )  # fmt: skip
-    if first != second:
+    if first_kind != second_kind:
         raise MachineError(
             f"controllers.{names[0]} and controllers.{names[1]} have different clocks or DACs",
             place=machine.place,
             remedy="Cross-coupling needs one clock and one kind of DAC for both.",
         )
     normal = np.array([-np.sin(direction_rad), np.cos(direction_rad)])
-    at_tool = np.array(
+    m_per_count = np.array(
         [machine.radius_m[machine.axis_names.index(a)] / machine.axes[a].counts.si for a in axes]
     )
-    mixed = np.eye(2) + coupling * np.outer(normal, normal) * at_tool[None, :] / at_tool[:, None]
+    coupled_errors = (
+        np.eye(2)
+        + coupling * np.outer(normal, normal) * m_per_count[None, :] / m_per_count[:, None]
+    )
     blocks = [_of_one_error(machine, name) for name in names]
     A, b, c, d = (block_diag(*(block[k] for block in blocks)) for k in range(4))
-    error = np.hstack([mixed, -mixed])
+    error = np.hstack([coupled_errors, -coupled_errors])
     return Designed(
         axes=axes,
         sensors=tuple(part.of.sensor for part in parts),

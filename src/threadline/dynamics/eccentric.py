@@ -54,12 +54,14 @@ def drive_needs(machine: Machine, axis: str) -> tuple[FloatArray, FloatArray]:
         rad/s, and the need per m/s^2 or rad/s^2. The voltage is across the winding.
     """
     drive = machine.drive_of(axis)
-    turning = abs(drive_rate(machine, axis, rigid_motion(machine, axis)))
-    still, moving = (abs(current_needed(machine, axis, speed, 0.0)) for speed in (_CREEP, 1.0))
-    push = abs(current_needed(machine, axis, 0.0, 1.0))
-    current = np.array([still, moving - still, push])
+    drive_per_axis = abs(drive_rate(machine, axis, rigid_motion(machine, axis)))
+    friction_a, moving_a = (
+        abs(current_needed(machine, axis, speed, 0.0)) for speed in (_CREEP, 1.0)
+    )
+    acceleration_a = abs(current_needed(machine, axis, 0.0, 1.0))
+    current = np.array([friction_a, moving_a - friction_a, acceleration_a])
     winding = drive.resistance.si * current
-    winding[1] += drive.back_emf.si * turning
+    winding[1] += drive.back_emf.si * drive_per_axis
     return current, winding
 
 
@@ -79,7 +81,7 @@ def drive_limits(
     """
     amplifier = machine.drive_of(axis).amplifier
     command = (winding if amplifier.mode == "voltage" else current) / amplifier.gain.si
-    most_v, most_a = (
+    limit_v, limit_a = (
         np.inf if limit is None else limit.si
         for limit in (amplifier.voltage_limit, amplifier.current_limit)
     )
@@ -89,8 +91,8 @@ def drive_limits(
             command,
             "full output of the controller, {:.4g} V",
         ),
-        (most_v, winding, "voltage_limit of {:.4g} V"),
-        (most_a, current, "current_limit of {:.4g} A"),
+        (limit_v, winding, "voltage_limit of {:.4g} V"),
+        (limit_a, current, "current_limit of {:.4g} A"),
     ]
 
 
@@ -129,15 +131,15 @@ def drive_rate(machine: Machine, axis: str, rates: dict[str, float]) -> float:
     """
     source = machine.source_of(axis)
     if source is not None:
-        turning = rates[source.body]
+        drive_per_axis = rates[source.body]
     else:
-        turning = sum(q.si * rates[b] for b, q in machine.drive_of(axis).acts_on.items())
-    if abs(turning) < LEAST_SI:
+        drive_per_axis = sum(q.si * rates[b] for b, q in machine.drive_of(axis).acts_on.items())
+    if abs(drive_per_axis) < LEAST_SI:
         raise MachineError(
             f"axes.{axis}: its drive does not turn when its load moves",
             remedy="Correct the links between them, or the bodies that the drive acts on.",
         )
-    return turning
+    return drive_per_axis
 
 
 def rigid_motion(machine: Machine, axis: str) -> dict[str, float]:
@@ -150,20 +152,20 @@ def rigid_motion(machine: Machine, axis: str) -> dict[str, float]:
     for link in machine.links.values():
         if link.stiffness.si > 0:
             rows.append(_row(bodies, {b: q.si for b, q in link.stretch.items()}))
-    part = machine.axes[axis]
-    if part.load is not None:
-        rows.append(_row(bodies, {b: q.si for b, q in part.load.items()}))
+    axis_part = machine.axes[axis]
+    if axis_part.load is not None:
+        rows.append(_row(bodies, {b: q.si for b, q in axis_part.load.items()}))
     elif source := machine.source_of(axis):
-        rows.append(_row(bodies, {source.body: source.counts / part.counts.si}))
+        rows.append(_row(bodies, {source.body: source.counts / axis_part.counts.si}))
     else:
         sensor = machine.sensors[machine.controller_of(axis).sensor]
-        rows.append(_row(bodies, {b: q.si / part.counts.si for b, q in sensor.reads.items()}))
-    wanted = np.zeros(len(rows))
-    wanted[-1] = 1.0
+        rows.append(_row(bodies, {b: q.si / axis_part.counts.si for b, q in sensor.reads.items()}))
+    right_side = np.zeros(len(rows))
+    right_side[-1] = 1.0
     # Lengths and angles differ by orders of magnitude, so each body's column is scaled.
     matrix = np.array(rows)
     scale = np.maximum(np.abs(matrix).max(axis=0), 1e-30)
-    solution = np.linalg.lstsq(matrix / scale, wanted, rcond=None)[0] / scale
+    solution = np.linalg.lstsq(matrix / scale, right_side, rcond=None)[0] / scale
     return dict(zip(bodies, solution.tolist(), strict=True))
 
 
@@ -172,7 +174,7 @@ def _row(bodies: list[str], weights: dict[str, float]) -> FloatArray:
 
 
 PIECES_A_TURN = 80
-_MOST_PIECES = 20_000
+_MAX_PIECES = 20_000
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -233,10 +235,10 @@ def pieces_needed(
     turn = 2.0 * np.pi
     first = int(np.floor((float(phase.min()) + low) / turn * PIECES_A_TURN)) - PIECES_A_TURN
     last = int(np.ceil((float(phase.max()) + high) / turn * PIECES_A_TURN)) + PIECES_A_TURN
-    if last - first > _MOST_PIECES:
+    if last - first > _MAX_PIECES:
         raise MachineError(
             f"links.{link}.eccentric: the gear makes {(last - first) / PIECES_A_TURN:.0f} turns "
-            f"over the travel, limit {_MOST_PIECES // PIECES_A_TURN}",
+            f"over the travel, limit {_MAX_PIECES // PIECES_A_TURN}",
             place=machine.place,
             remedy="Correct its angle, or omit the eccentricity.",
         )
@@ -272,63 +274,69 @@ def eccentric_play(
     """
     damped = bool((damping > 0).any())
     kinds = 5 if damped else 3
-    begins = int(np.floor(float(band.phase.mean()) / (2.0 * np.pi) * PIECES_A_TURN))
+    start_piece = int(np.floor(float(band.phase.mean()) / (2.0 * np.pi) * PIECES_A_TURN))
     # The simulation starts in mode 0, so the modes of the piece at the start come first.
-    order = [*range(begins, band.last), *range(band.first, begins)]
-    number = {piece: at for at, piece in enumerate(order)}
+    order = [*range(start_piece, band.last), *range(band.first, start_piece)]
+    piece_number = {piece: index for index, piece in enumerate(order)}
     modes: list[Mode] = []
     for piece in order:
-        half, bent = _edge(band, play, piece)
-        gone = (stiffness[:, None] * half) + (damping * bent)[:, None] * band.angle_rate
-        above, below = spring - gone, spring + gone
-        over, under = stretch - half, stretch + half
-        none = np.zeros_like(stretch)
-        base = kinds * number[piece]
-        free = (Guard(row=over, high=0.0, high_to=base + 1),
-                Guard(row=under, low=0.0, low_to=base + 2))  # fmt: skip
-        up = (Guard(row=above, low=0.0, low_to=base + (3 if damped else 0)),)
-        down = (Guard(row=below, high=0.0, high_to=base + (4 if damped else 0)),)
-        leaving_up = (Guard(row=over, low=0.0, low_to=base),
-                      Guard(row=above, high=0.0, high_to=base + 1))  # fmt: skip
-        leaving_down = (Guard(row=under, high=0.0, high_to=base),
-                        Guard(row=below, low=0.0, low_to=base + 2))  # fmt: skip
+        half_width, slope = _band_edge(band, play, piece)
+        band_force = (stiffness[:, None] * half_width) + (damping * slope)[
+            :, None
+        ] * band.angle_rate
+        force_above, force_below = spring - band_force, spring + band_force
+        above_band, below_band = stretch - half_width, stretch + half_width
+        no_force = np.zeros_like(stretch)
+        base = kinds * piece_number[piece]
+        free = (Guard(row=above_band, high=0.0, high_to=base + 1),
+                Guard(row=below_band, low=0.0, low_to=base + 2))  # fmt: skip
+        leave_above = (Guard(row=force_above, low=0.0, low_to=base + (3 if damped else 0)),)
+        leave_below = (Guard(row=force_below, high=0.0, high_to=base + (4 if damped else 0)),)
+        part_above = (Guard(row=above_band, low=0.0, low_to=base),
+                      Guard(row=force_above, high=0.0, high_to=base + 1))  # fmt: skip
+        part_below = (Guard(row=below_band, high=0.0, high_to=base),
+                        Guard(row=force_below, low=0.0, low_to=base + 2))  # fmt: skip
         sides = [
-            ("free", none, free),
-            ("touching above", above, up),
-            ("touching below", below, down),
-            ("separating above", none, leaving_up),
-            ("separating below", none, leaving_down),
+            ("free", no_force, free),
+            ("touching above", force_above, leave_above),
+            ("touching below", force_below, leave_below),
+            ("separating above", no_force, part_above),
+            ("separating below", no_force, part_below),
         ]
         for kind, (label, law, guards) in enumerate(sides[:kinds]):
-            turned = _turned(band, piece, number, kinds, kind)
-            modes.append(Mode(name=f"{label}, piece {piece}", law=law, guards=(*guards, turned)))
+            turn_guard = _turn_guard(band, piece, piece_number, kinds, kind)
+            modes.append(
+                Mode(name=f"{label}, piece {piece}", law=law, guards=(*guards, turn_guard))
+            )
     return Element(name=name, direction=direction, modes=tuple(modes), working_mode=1)
 
 
-def _edge(band: Band, play: FloatArray, piece: int) -> tuple[FloatArray, FloatArray]:
+def _band_edge(band: Band, play: FloatArray, piece: int) -> tuple[FloatArray, FloatArray]:
     """Return half the width on a piece as (V, N) rows, and its slope (V,) over the angle."""
     step = 2.0 * np.pi / PIECES_A_TURN
     # Chords lie on the inner side of a cosine. Chords that are moved outwards have errors of equal
     # size at their ends and in their middle.
-    raised = 2.0 / (1.0 + np.cos(0.5 * step))
-    begin = np.full(len(play), raised * np.cos(piece * step))
-    end = np.full(len(play), raised * np.cos((piece + 1) * step))
+    chord_height = 2.0 / (1.0 + np.cos(0.5 * step))
+    begin = np.full(len(play), chord_height * np.cos(piece * step))
+    end = np.full(len(play), chord_height * np.cos((piece + 1) * step))
     if piece in {band.first, band.last - 1}:
         begin = end = 0.5 * (begin + end)
     slope = 0.5 * band.width * (end - begin) / step
-    half = slope[:, None] * band.angle
-    half[:, -1] += 0.5 * (play + band.width * begin) + slope * (band.phase - piece * step)
-    return half, slope
+    half_width = slope[:, None] * band.angle
+    half_width[:, -1] += 0.5 * (play + band.width * begin) + slope * (band.phase - piece * step)
+    return half_width, slope
 
 
-def _turned(band: Band, piece: int, number: dict[int, int], kinds: int, kind: int) -> Guard:
+def _turn_guard(
+    band: Band, piece: int, piece_number: dict[int, int], kinds: int, kind: int
+) -> Guard:
     """Return the guard on the gear's angle, which leads to the same mode of an adjacent piece."""
     step = 2.0 * np.pi / PIECES_A_TURN
-    before, after = number.get(piece - 1), number.get(piece + 1)
+    piece_before, piece_after = piece_number.get(piece - 1), piece_number.get(piece + 1)
     return Guard(
         row=band.angle,
-        low=-np.inf if before is None else piece * step - band.phase,
-        high=np.inf if after is None else (piece + 1) * step - band.phase,
-        low_to=-1 if before is None else kinds * before + kind,
-        high_to=-1 if after is None else kinds * after + kind,
+        low=-np.inf if piece_before is None else piece * step - band.phase,
+        high=np.inf if piece_after is None else (piece + 1) * step - band.phase,
+        low_to=-1 if piece_before is None else kinds * piece_before + kind,
+        high_to=-1 if piece_after is None else kinds * piece_after + kind,
     )

@@ -131,8 +131,8 @@ def friction(
     size
         Length N of ``z``.
     """
-    none = np.zeros((len(inertia), size))
-    forwards, backwards, speed = none.copy(), none.copy(), none.copy()
+    no_force = np.zeros((len(inertia), size))
+    forwards, backwards, speed = no_force.copy(), no_force.copy(), no_force.copy()
     forwards[:, -1], backwards[:, -1] = -sliding, sliding
     speed[:, velocity] = 1.0
     return Element(
@@ -141,7 +141,7 @@ def friction(
         modes=(
             Mode(
                 name="stick",
-                law=none,
+                law=no_force,
                 guards=(Guard(row=None, low=-breakaway, high=breakaway, low_to=2, high_to=1),),
                 holds=velocity,
                 net_scale=inertia,
@@ -219,44 +219,44 @@ def play(
     damped
         Whether any variant has damping.
     """
-    half = 0.5 * width
-    none = np.zeros_like(stretch)
-    above, below = spring.copy(), spring.copy()
-    above[:, -1] -= stiffness * half
-    below[:, -1] += stiffness * half
+    half_width = 0.5 * width
+    no_force = np.zeros_like(stretch)
+    force_above, force_below = spring.copy(), spring.copy()
+    force_above[:, -1] -= stiffness * half_width
+    force_below[:, -1] += stiffness * half_width
     modes = [
         Mode(
             name="free",
-            law=none,
-            guards=(Guard(row=stretch, low=-half, high=half, low_to=2, high_to=1),),
+            law=no_force,
+            guards=(Guard(row=stretch, low=-half_width, high=half_width, low_to=2, high_to=1),),
         ),
         Mode(
             name="touching above",
-            law=above,
-            guards=(Guard(row=above, low=0.0, low_to=3 if damped else 0),),
+            law=force_above,
+            guards=(Guard(row=force_above, low=0.0, low_to=3 if damped else 0),),
         ),
         Mode(
             name="touching below",
-            law=below,
-            guards=(Guard(row=below, high=0.0, high_to=4 if damped else 0),),
+            law=force_below,
+            guards=(Guard(row=force_below, high=0.0, high_to=4 if damped else 0),),
         ),
     ]
     if damped:
         modes += [
             Mode(
                 name="separating above",
-                law=none,
+                law=no_force,
                 guards=(
-                    Guard(row=stretch, low=half, low_to=0),
-                    Guard(row=above, high=0.0, high_to=1),
+                    Guard(row=stretch, low=half_width, low_to=0),
+                    Guard(row=force_above, high=0.0, high_to=1),
                 ),
             ),
             Mode(
                 name="separating below",
-                law=none,
+                law=no_force,
                 guards=(
-                    Guard(row=stretch, high=-half, high_to=0),
-                    Guard(row=below, low=0.0, low_to=2),
+                    Guard(row=stretch, high=-half_width, high_to=0),
+                    Guard(row=force_below, low=0.0, low_to=2),
                 ),
             ),
         ]
@@ -295,19 +295,19 @@ def motor(
     switches
         Guards of the limit switches that cut the supply; this function sets their next modes.
     """
-    none = np.zeros_like(free)
+    no_current = np.zeros_like(free)
     limits = (1.0, -1.0) if current_limit is not None else ()
-    off = 1 + len(limits) + len(voltage_modes)
-    cut = tuple(
+    cut_mode = 1 + len(limits) + len(voltage_modes)
+    cut_guards = tuple(
         Guard(
-            row=s.row,
-            low=s.low,
-            high=s.high,
-            low_to=off if np.any(np.isfinite(s.low)) else STAY,
-            high_to=off if np.any(np.isfinite(s.high)) else STAY,
-            switch=s.switch,
+            row=switch.row,
+            low=switch.low,
+            high=switch.high,
+            low_to=cut_mode if np.any(np.isfinite(switch.low)) else STAY,
+            high_to=cut_mode if np.any(np.isfinite(switch.high)) else STAY,
+            switch=switch.switch,
         )
-        for s in switches
+        for switch in switches
     )
     modes: list[Mode] = []
     if limits:
@@ -318,26 +318,26 @@ def motor(
                 law=free,
                 guards=(
                     Guard(row=free, low=-current_limit, high=current_limit, low_to=2, high_to=1),
-                    *cut,
+                    *cut_guards,
                 ),
             )
         )
         for sign in limits:
-            clipped = none.copy()
+            clipped = no_current.copy()
             clipped[:, -1] = sign * current_limit
-            towards = {"low": 0.0, "low_to": 0} if sign > 0 else {"high": 0.0, "high_to": 0}
+            return_bound = {"low": 0.0, "low_to": 0} if sign > 0 else {"high": 0.0, "high_to": 0}
             if state >= 0:
                 # The current stays at its limit until the voltage drives it back.
-                guard = Guard(row=None, **towards)  # type: ignore[arg-type]
+                guard = Guard(row=None, **return_bound)  # type: ignore[arg-type]
             else:
                 excess = free.copy()
                 excess[:, -1] -= sign * current_limit
-                guard = Guard(row=excess, **towards)  # type: ignore[arg-type]
+                guard = Guard(row=excess, **return_bound)  # type: ignore[arg-type]
             modes.append(
                 Mode(
                     name=f"limited {'+' if sign > 0 else '-'}",
                     law=free if state >= 0 else clipped,
-                    guards=(guard, *cut),
+                    guards=(guard, *cut_guards),
                     holds=state,
                     held_at=sign * current_limit,
                     net_scale=net_scale,
@@ -346,17 +346,19 @@ def motor(
     elif voltage_modes:
         rows = [free - at_limit for at_limit, _ in voltage_modes]
         guards = (Guard(row=rows[0], high=0.0, high_to=1), Guard(row=rows[1], low=0.0, low_to=2))
-        modes.append(Mode(name="free", law=free, guards=(*guards, *cut)))
+        modes.append(Mode(name="free", law=free, guards=(*guards, *cut_guards)))
         for (at_limit, sign), row in zip(voltage_modes, rows, strict=True):
-            back = (
+            return_guard = (
                 Guard(row=row, low=0.0, low_to=0)
                 if sign > 0
                 else Guard(row=row, high=0.0, high_to=0)
             )
-            modes.append(Mode(name="supply limit", law=at_limit, guards=(back, *cut)))
+            modes.append(
+                Mode(name="supply limit", law=at_limit, guards=(return_guard, *cut_guards))
+            )
     else:
-        modes.append(Mode(name="free", law=free, guards=cut))
-    if cut:
-        law = none if state < 0 else free
+        modes.append(Mode(name="free", law=free, guards=cut_guards))
+    if cut_guards:
+        law = no_current if state < 0 else free
         modes.append(Mode(name="cut", law=law, holds=state))
     return Element(name=name, direction=direction, modes=tuple(modes))

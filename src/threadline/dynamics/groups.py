@@ -36,7 +36,7 @@ def connected_groups(machine: Machine) -> tuple[Group, ...]:
     MachineError
         If two axes share a controller, or two controllers a drive.
     """
-    _check_shared(machine)
+    _refuse_shared_parts(machine)
     parent: dict[str, str] = {f"b.{b}": f"b.{b}" for b in machine.bodies}
 
     def root(key: str) -> str:
@@ -71,28 +71,30 @@ def connected_groups(machine: Machine) -> tuple[Group, ...]:
         join(f"i.{name}", (f"a.{switch.axis}", f"d.{switch.cuts}"))
 
     groups = []
-    for top in dict.fromkeys(root(f"b.{b}") for b in machine.bodies):
+    for group_root in dict.fromkeys(root(f"b.{b}") for b in machine.bodies):
 
-        def mine(letter: str, names: Iterable[str], top: str = top) -> tuple[str, ...]:
-            return tuple(n for n in names if root(f"{letter}.{n}") == top)
+        def members(
+            letter: str, names: Iterable[str], group_root: str = group_root
+        ) -> tuple[str, ...]:
+            return tuple(n for n in names if root(f"{letter}.{n}") == group_root)
 
         groups.append(
             Group(
-                bodies=mine("b", machine.bodies),
-                links=mine("l", machine.links),
-                drives=mine("d", machine.motors),
-                sensors=mine("s", machine.sensors),
-                controllers=mine("c", machine.controllers),
-                axes=mine("a", machine.axes),
-                inputs=mine("i", machine.inputs),
-                sources=mine("d", machine.position_sources),
+                bodies=members("b", machine.bodies),
+                links=members("l", machine.links),
+                drives=members("d", machine.motors),
+                sensors=members("s", machine.sensors),
+                controllers=members("c", machine.controllers),
+                axes=members("a", machine.axes),
+                inputs=members("i", machine.inputs),
+                sources=members("d", machine.position_sources),
             )
         )
     return tuple(groups)
 
 
-def _check_shared(machine: Machine) -> None:
-    single = {
+def _refuse_shared_parts(machine: Machine) -> None:
+    single_axes = {
         name: axis
         for name, axis in machine.axes.items()
         if axis.controller
@@ -104,18 +106,18 @@ def _check_shared(machine: Machine) -> None:
         part.of.drive
         for part in parts
     }  # fmt: skip
-    for what, users, owner in (
-        ("controller", {n: a.controller for n, a in single.items()}, "axes"),
+    for kind, users, owner in (
+        ("controller", {n: a.controller for n, a in single_axes.items()}, "axes"),
         ("drive", {n: a.drive for n, a in machine.axes.items() if a.drive}, "axes"),
         ("body", {n: s.body for n, s in machine.position_sources.items()}, "drives"),
         ("drive", commanded, "controllers"),
     ):
-        seen: dict[str, str] = {}
+        user_of: dict[str, str] = {}
         for name, part in users.items():
-            if part in seen:
+            if part in user_of:
                 raise MachineError(
-                    f"{owner} {seen[part]!r} and {name!r} share the {what} {part!r}",
+                    f"{owner} {user_of[part]!r} and {name!r} share the {kind} {part!r}",
                     place=machine.place,
-                    remedy=f"Give each a separate {what}.",
+                    remedy=f"Give each a separate {kind}.",
                 )
-            seen[part] = name
+            user_of[part] = name

@@ -54,11 +54,11 @@ def decay_and_moments(Q: FloatArray, step_s: float, count: int) -> tuple[FloatAr
     The (n, n) decay, and the (count, n, n) moments in s.
     """
     n = len(Q)
-    whole = np.zeros((n * (count + 1), n * (count + 1)))
-    whole[:n, :n] = Q * step_s
+    block = np.zeros((n * (count + 1), n * (count + 1)))
+    block[:n, :n] = Q * step_s
     for k in range(count):
-        whole[n * k : n * (k + 1), n * (k + 1) : n * (k + 2)] = np.eye(n)
-    row = expm(whole)[:n]
+        block[n * k : n * (k + 1), n * (k + 1) : n * (k + 2)] = np.eye(n)
+    row = expm(block)[:n]
     factorials = np.cumprod([1.0, *range(1, count)])
     moments = [step_s * factorials[k] * row[:, n * (k + 1) : n * (k + 2)] for k in range(count)]
     return row[:, :n], np.stack(moments)
@@ -142,22 +142,22 @@ class Inverse:
         states = ladder[:, :r] @ self.from_load.T + inner @ self.from_inner.T
         states += self._rest(start_si)
         volts = (ladder[:, r] - states @ self.chain.rows[r]) / self.chain.gain
-        coil = [k for k, name in enumerate(self.plant.states) if name.endswith(".i")]
+        coil_states = [k for k, name in enumerate(self.plant.states) if name.endswith(".i")]
         return Followed(
             time_s=time_s,
             load_si=ladder[:, 0],
             measured_counts=states @ self.loop.axis_plant().C[0],
             volts=volts,
-            current_a=states[:, coil[0]] if len(coil) == 1 else None,
+            current_a=states[:, coil_states[0]] if len(coil_states) == 1 else None,
         )
 
     def _rest(self, start_si: float) -> FloatArray:
         # Inner states are relative to their values at rest, which depend on the load's position.
         if not len(self.Q) or start_si == 0.0:
             return np.zeros(len(self.plant.A))
-        still = np.zeros(self.degree)
-        still[0] = start_si
-        return np.asarray(self.from_inner @ -np.linalg.solve(self.Q, self.R @ still))
+        rest_ladder = np.zeros(self.degree)
+        rest_ladder[0] = start_si
+        return np.asarray(self.from_inner @ -np.linalg.solve(self.Q, self.R @ rest_ladder))
 
 
 def _check_single(machine: Machine, loop: Loop) -> None:
@@ -202,17 +202,17 @@ def inverse_of(machine: Machine, axis: str, values: Values | None = None) -> Inv
     # The inner states are combinations W x on which the voltage does not act: W b = 0.
     ladder = chain.rows[:r]
     scale = np.linalg.norm(ladder, axis=1)[:, None]
-    others = null_space(plant.B.T / np.linalg.norm(plant.B)).T
-    kept = _independent(others, ladder / scale, n - r)
-    whole = np.vstack([ladder / scale, kept])
-    back = np.linalg.inv(whole)
-    from_load, from_inner = back[:, :r] / scale.T, back[:, r:]
-    Q, R = kept @ plant.A @ from_inner, kept @ plant.A @ from_load
-    standing = not_decaying(Q)
-    if len(standing):
-        worst = standing[0]
+    inner_space = null_space(plant.B.T / np.linalg.norm(plant.B)).T
+    inner_rows = _independent(inner_space, ladder / scale, n - r)
+    transform = np.vstack([ladder / scale, inner_rows])
+    inverse_transform = np.linalg.inv(transform)
+    from_load, from_inner = inverse_transform[:, :r] / scale.T, inverse_transform[:, r:]
+    Q, R = inner_rows @ plant.A @ from_inner, inner_rows @ plant.A @ from_load
+    not_decaying_zeros = not_decaying(Q)
+    if len(not_decaying_zeros):
+        worst_zero = not_decaying_zeros[0]
         raise MachineError(
-            f"axis {axis}: its inverse is unstable, the plant has a zero at {worst:.4g} rad/s",
+            f"axis {axis}: its inverse is unstable, the plant has a zero at {worst_zero:.4g} rad/s",
             place=machine.place,
             remedy="Give the frame damping, or define the load as the body next to the motor.",
         )
@@ -228,13 +228,13 @@ def inverse_of(machine: Machine, axis: str, values: Values | None = None) -> Inv
     )
 
 
-def _independent(candidates: FloatArray, taken: FloatArray, count: int) -> FloatArray:
-    """Return ``count`` combinations of ``candidates`` that are independent of ``taken``."""
+def _independent(candidates: FloatArray, rows: FloatArray, count: int) -> FloatArray:
+    """Return ``count`` combinations of ``candidates`` that are independent of ``rows``."""
     if count == 0:
         return np.empty((0, candidates.shape[1]))
-    # The component of the candidates' space that is orthogonal to the rows of ``taken``.
-    inside = taken @ candidates.T @ candidates
-    _, _, vectors = np.linalg.svd(inside @ candidates.T)
+    # The component of the candidates' space that is orthogonal to ``rows``.
+    projected = rows @ candidates.T @ candidates
+    _, _, vectors = np.linalg.svd(projected @ candidates.T)
     rank = candidates.shape[0] - count
     return np.asarray(vectors[rank:] @ candidates)
 
@@ -269,19 +269,19 @@ def corner_responses(
     omega_rad_s
         (k,) frequencies above 0.
     """
-    believed = closed_responses(machine, axis, omega_rad_s)
-    found = []
+    nominal = closed_responses(machine, axis, omega_rad_s)
+    responses = []
     for corner in corners:
-        own = closed_responses(corner, axis, omega_rad_s)
-        load, current = own.load / believed.load, own.current_s_a_m
-        found.append(
+        actual = closed_responses(corner, axis, omega_rad_s)
+        load, current = actual.load / nominal.load, actual.current_s_a_m
+        responses.append(
             CornerResponse(
                 load=load,
-                sensor=own.sensor / believed.sensor,
+                sensor=actual.sensor / nominal.sensor,
                 current_s_a_m=None if current is None else current * load,
             )
         )
-    return found
+    return responses
 
 
 def closed_responses(machine: Machine, axis: str, omega_rad_s: FloatArray) -> CornerResponse:
@@ -301,22 +301,22 @@ def closed_responses(machine: Machine, axis: str, omega_rad_s: FloatArray) -> Co
     loop, omega = axis_loop(machine, axis), omega_rad_s
     _check_single(machine, loop)
     plant = loop.plant
-    coil = [k for k, name in enumerate(plant.states) if name.endswith(".i")]
+    coil_states = [k for k, name in enumerate(plant.states) if name.endswith(".i")]
     rows = [f"{loop.axis}.load", loop.sensors[loop.index]]
-    seen = plant.select([plant.inputs[loop.index]], rows)
-    sampled = sample(seen, loop.period_s).response(omega)[:, :, 0]
+    load_and_sensor = plant.select([plant.inputs[loop.index]], rows)
+    sampled = sample(load_and_sensor, loop.period_s).response(omega)[:, :, 0]
     D = loop.filters[loop.index].sampled_response(omega)
     load = sampled[:, 0] * D / (1.0 + sampled[:, 1] * D)
     sensor = sampled[:, 1] * D / (1.0 + sampled[:, 1] * D)
-    if len(coil) != 1:
+    if len(coil_states) != 1:
         return CornerResponse(load=load, sensor=sensor, current_s_a_m=None)
-    state = np.zeros((1, len(plant.A)))
-    state[0, coil[0]] = 1.0
+    coil_row = np.zeros((1, len(plant.A)))
+    coil_row[0, coil_states[0]] = 1.0
     with_coil = replace(
-        seen,
-        C=np.vstack([seen.C[:1], state]),
+        load_and_sensor,
+        C=np.vstack([load_and_sensor.C[:1], coil_row]),
         D=np.zeros((2, 1)),
-        outputs=(rows[0], plant.states[coil[0]]),
+        outputs=(rows[0], plant.states[coil_states[0]]),
     ).response(omega)[:, :, 0]
     current = with_coil[:, 1] / (1j * omega * with_coil[:, 0])
     return CornerResponse(load=load, sensor=sensor, current_s_a_m=current)

@@ -70,8 +70,8 @@ def lead_deg(response: ComplexArray, phase_margin_deg: FloatArray | float) -> Fl
     phase_margin_deg
         (k,) or one number: required phase margins, in degrees.
     """
-    wanted = phase_margin_deg - 180.0 - np.degrees(np.angle(response))
-    return np.asarray((wanted + 180.0) % 360.0 - 180.0)
+    lead = phase_margin_deg - 180.0 - np.degrees(np.angle(response))
+    return np.asarray((lead + 180.0) % 360.0 - 180.0)
 
 
 def lead_from_response(
@@ -101,9 +101,9 @@ def lead_from_response(
     """
     z = np.exp(1j * np.asarray(omega_rad_s) * period_s)
     lead = np.radians(lead_deg(np.asarray(response), phase_margin_deg))
-    turn = lead + np.angle(z + pole)
-    possible = (turn > np.angle(z)) & (turn < np.pi)
-    zero = np.where(possible, z.real - z.imag / np.tan(np.where(possible, turn, 1.0)), np.nan)
+    zero_angle = lead + np.angle(z + pole)
+    possible = (zero_angle > np.angle(z)) & (zero_angle < np.pi)
+    zero = np.where(possible, z.real - z.imag / np.tan(np.where(possible, zero_angle, 1.0)), np.nan)
     gain = np.abs(z + pole) / (np.abs(z - zero) * np.abs(response))
     return np.asarray(gain), np.asarray(zero)
 
@@ -140,31 +140,32 @@ def design_lead(
     omega = np.array([2 * np.pi * crossover_hz])
     response = loop.plant_response(omega)
     gains, zeros = lead_from_response(response, omega, phase_margin_deg, period, pole)
-    needed = float(lead_deg(response, phase_margin_deg)[0])
+    needed_deg = float(lead_deg(response, phase_margin_deg)[0])
     zero = float(zeros[0])
     if not COEFFICIENT_LOW <= zero <= COEFFICIENT_HIGH:
-        least, most = _range_deg(float(omega[0]) * period, pole)
+        least_deg, most_deg = _range_deg(float(omega[0]) * period, pole)
         raise OptionError(
             f"axis {loop.axis}: {phase_margin_deg:g} deg at {crossover_hz:g} Hz needs "
-            f"{needed:.1f} deg of lead; this filter gives {least:.1f} ... {most:.1f} deg there",
+            f"{needed_deg:.1f} deg of lead; this filter gives {least_deg:.1f} ... {most_deg:.1f} "
+            "deg there",
             remedy="Ask for a lower crossover or another phase margin.",
         )
-    volts = loop.filters[loop.index].volt_per_level
+    volt_per_level = loop.filters[loop.index].volt_per_level
     return LeadDesign(
-        gain=float(gains[0]) / volts,
+        gain=float(gains[0]) / volt_per_level,
         zero=zero,
         pole=pole,
         crossover_hz=crossover_hz,
         phase_margin_deg=phase_margin_deg,
         period_s=period,
-        volt_per_level=volts,
+        volt_per_level=volt_per_level,
     )
 
 
 def _range_deg(angle: float, pole: float) -> tuple[float, float]:
     """Return the smallest and largest lead of the filter at ``z = exp(i angle)``, degrees."""
     z = np.exp(1j * angle)
-    turns = [
+    leads = [
         np.angle(z - zero) - np.angle(z + pole) for zero in (COEFFICIENT_LOW, COEFFICIENT_HIGH)
     ]
-    return float(np.degrees(min(turns))), float(np.degrees(max(turns)))
+    return float(np.degrees(min(leads))), float(np.degrees(max(leads)))

@@ -25,13 +25,13 @@ from threadline.errors import OptionError
 from threadline.machine import Machine
 
 _REMEMBERED_S = 8.0  # length of the filter: a ringing frame has decayed by then
-_SAMPLES = (1024, 16384)
-_LAWSON = 50
+_SAMPLE_LIMITS = (1024, 16384)
+_LAWSON_ROUNDS = 50
 _LEARNED, _LEFT = 0.7, 0.9
 """Share of the error that remains on the worst machine: up to the first number the filter learns
 fully, and from the second number on it does not learn."""
 _LEAST_RESPONSE = 0.1  # smallest response of the loop: the motor moves ten times the load's error
-_STEEP = 8  # exponent of the low-pass
+_LOW_PASS_ORDER = 8  # exponent of the low-pass
 _LOWEST_HZ = 1e-3
 _NYQUIST_SHARE = 0.4
 
@@ -71,16 +71,16 @@ class LearningFilter:
         """
         from scipy.signal import oaconvolve
 
-        half = len(self.kernel) // 2
-        whole = oaconvolve(np.asarray(error, dtype=np.float64), self.kernel)
-        return np.asarray(whole[half : half + len(error)])
+        half_length = len(self.kernel) // 2
+        convolved = oaconvolve(np.asarray(error, dtype=np.float64), self.kernel)
+        return np.asarray(convolved[half_length : half_length + len(error)])
 
     @property
     def unlearned_hz(self) -> tuple[float, float] | None:
         """Range below the low-pass in which nothing is learned; None if there is none."""
         below = (self.frequency_hz < self.low_pass_hz) & (self.frequency_hz > _LOWEST_HZ)
-        none = self.frequency_hz[below & (self.left >= _LEFT)]
-        return (float(none[0]), float(none[-1])) if len(none) else None
+        unlearned = self.frequency_hz[below & (self.left >= _LEFT)]
+        return (float(unlearned[0]), float(unlearned[-1])) if len(unlearned) else None
 
 
 def learning_filter(
@@ -112,39 +112,41 @@ def learning_filter(
         it shares bodies with the drives of other axes.
     """
     step_s = float(machine.tick_clock.period_s)
-    samples = min(max(2 ** ceil(log2(_REMEMBERED_S / step_s)), _SAMPLES[0]), _SAMPLES[1])
+    samples = min(
+        max(2 ** ceil(log2(_REMEMBERED_S / step_s)), _SAMPLE_LIMITS[0]), _SAMPLE_LIMITS[1]
+    )
     frequency: FloatArray = np.asarray(np.fft.rfftfreq(samples, step_s))
     omega = 2.0 * np.pi * np.maximum(frequency, _LOWEST_HZ)
-    own = closed_responses(machine, axis, omega)
-    T = own.load * machine.axes[axis].counts.si if of_load else own.sensor
+    closed = closed_responses(machine, axis, omega)
+    T = closed.load * machine.axes[axis].counts.si if of_load else closed.sensor
     controller = machine.controller_of(axis)
     if controller.reference_clock:  # a reference is held until the next one
         T = T * np.exp(-0.5j * omega * step_s)
     highest = _NYQUIST_SHARE / step_s
     if low_pass_hz is None:
-        weak = np.flatnonzero(np.abs(T) < _LEAST_RESPONSE)
-        low_pass_hz = min(float(frequency[weak[0]]) if len(weak) else highest, highest)
+        weak_index = np.flatnonzero(np.abs(T) < _LEAST_RESPONSE)
+        low_pass_hz = min(float(frequency[weak_index[0]]) if len(weak_index) else highest, highest)
     elif not 0.0 < low_pass_hz <= highest:
         raise OptionError(
             f"--low-pass {low_pass_hz:g} Hz is not between 0 and {highest:g} Hz, 0.4 of the rate "
             f"of the references of {machine.name}",
             remedy="Lower it, or leave it out.",
         )
-    found = corner_responses(machine, axis, machines, omega)
-    ratios = np.stack([one.load if of_load else one.sensor for one in found])
+    corners = corner_responses(machine, axis, machines, omega)
+    ratios = np.stack([corner.load if of_load else corner.sensor for corner in corners])
     factor, left = _least_left(ratios)
-    sure = np.clip((_LEFT - left) / (_LEFT - _LEARNED), 0.0, 1.0)
-    low_pass = 1.0 / (1.0 + (frequency / low_pass_hz) ** _STEEP)
-    share = factor * sure * low_pass
+    learned_share = np.clip((_LEFT - left) / (_LEFT - _LEARNED), 0.0, 1.0)
+    low_pass = 1.0 / (1.0 + (frequency / low_pass_hz) ** _LOW_PASS_ORDER)
+    share = factor * learned_share * low_pass
     response = share / T
-    whole = np.fft.irfft(response, samples)
+    kernel = np.fft.irfft(response, samples)
     return LearningFilter(
         axis=axis,
         low_pass_hz=low_pass_hz,
         frequency_hz=frequency,
         response=response,
         left=np.abs(1.0 - share * ratios).max(axis=0),
-        kernel=np.roll(whole, samples // 2)[1:],
+        kernel=np.roll(kernel, samples // 2)[1:],
     )
 
 
@@ -163,14 +165,17 @@ def _least_left(ratios: ComplexArray) -> tuple[ComplexArray, FloatArray]:
     """
     weights = np.full(ratios.shape, 1.0 / len(ratios))
     square = np.abs(ratios) ** 2
-    best = np.zeros(ratios.shape[1], dtype=np.complex128)
-    least = np.ones(ratios.shape[1])
-    for _ in range(_LAWSON):
+    best_factor = np.zeros(ratios.shape[1], dtype=np.complex128)
+    best_left = np.ones(ratios.shape[1])
+    for _ in range(_LAWSON_ROUNDS):
         factor = (weights * ratios.conj()).sum(axis=0) / (weights * square).sum(axis=0)
         error = np.abs(1.0 - factor * ratios)
         largest = error.max(axis=0)
-        better = largest < least
-        best, least = np.where(better, factor, best), np.where(better, largest, least)
+        is_better = largest < best_left
+        best_factor, best_left = (
+            np.where(is_better, factor, best_factor),
+            np.where(is_better, largest, best_left),
+        )
         weights = weights * (error + 1e-12)
         weights /= weights.sum(axis=0)
-    return best, least
+    return best_factor, best_left

@@ -93,11 +93,11 @@ def linear_variants(
     MachineError
         If a combination of parts has no equations.
     """
-    used = Values.of(machine) if values is None else values
+    given_values = Values.of(machine) if values is None else values
     # A piece with position-commanded drives has no input in volts: see ``prescribed``.
     return tuple(
-        _linear(machine, piece, used)
-        for piece in piecewise_linear(machine, used, drive=drive)
+        _linear(machine, piece, given_values)
+        for piece in piecewise_linear(machine, given_values, drive=drive)
         if not piece.group.sources
     )
 
@@ -121,15 +121,15 @@ def linear_model(machine: Machine, values: Values | None = None) -> tuple[StateS
 
 def _linear(machine: Machine, piece: PiecewiseLinear, values: Values) -> ModelVariants:
     group, n = piece.group, len(piece.states)
-    full = el.working_rates(piece.base, piece.elements)
+    rates = el.working_rates(piece.base, piece.elements)
     rows, names = [], []
-    B = full[:, :, n : n + len(group.drives)] * piece.input_gain[:, None, :]
+    B = rates[:, :, n : n + len(group.drives)] * piece.input_gain[:, None, :]
     for index, sensor in enumerate(group.sensors):
-        felt = piece.felt_rows[:, index, None, :]
-        if (felt @ B).any():
-            _check_unread(machine, sensor)
+        felt_row = piece.felt_rows[:, index, None, :]
+        if (felt_row @ B).any():
+            _refuse_direct_reading(machine, sensor)
             continue
-        rows.append(piece.sensor_rows[:, index, :n] + (felt @ full[:, :, :n])[:, 0])
+        rows.append(piece.sensor_rows[:, index, :n] + (felt_row @ rates[:, :, :n])[:, 0])
         names.append(f"sensors.{sensor}")
     for index, axis in enumerate(group.axes):
         sensor = machine.controller_of(axis).sensor
@@ -148,7 +148,7 @@ def _linear(machine: Machine, piece: PiecewiseLinear, values: Values) -> ModelVa
     for index, drive in enumerate(group.drives):
         delays[:, index] = values.at(f"drives.{drive}.delay", machine.motors[drive].delay)
     return ModelVariants(
-        A=full[:, :, :n],
+        A=rates[:, :, :n],
         B=B,
         C=np.stack(rows, axis=1),
         delay_s=delays,
@@ -158,7 +158,7 @@ def _linear(machine: Machine, piece: PiecewiseLinear, values: Values) -> ModelVa
     )
 
 
-def _check_unread(machine: Machine, sensor: str) -> None:
+def _refuse_direct_reading(machine: Machine, sensor: str) -> None:
     """Refuse a controller that reads an accelerometer on which a motor has a direct effect."""
     for name, controller in machine.controllers.items():
         if isinstance(controller, StateSpaceController) and sensor in controller.sensors:
@@ -193,8 +193,8 @@ class Oscillation:
 def locked_modes(machine: Machine, axis: str) -> tuple[Oscillation, ...]:
     """Return the modes of an axis' network piece with locked motors."""
     group, model = _piece(machine, axis)
-    held = {b for d in group.drives for b in machine.motors[d].acts_on}
-    return _modes(model, [b for b in group.bodies if b not in held])
+    locked_bodies = {b for d in group.drives for b in machine.motors[d].acts_on}
+    return _modes(model, [b for b in group.bodies if b not in locked_bodies])
 
 
 def free_modes(machine: Machine, axis: str) -> tuple[Oscillation, ...]:
@@ -214,34 +214,36 @@ def _piece(machine: Machine, axis: str) -> tuple[Group, StateSpace]:
 def _modes(model: StateSpace, bodies: list[str]) -> tuple[Oscillation, ...]:
     if not bodies:
         return ()
-    place = [model.states.index(b) for b in bodies]
-    rate = [model.states.index(f"{b}'") for b in bodies]
-    stiffness = -model.A[np.ix_(rate, place)]
-    squares = np.sort(np.linalg.eigvals(stiffness).real)
-    squares = squares[squares > _RIGID * max(float(squares.max()), 1.0)]
-    if not len(squares):
+    positions = [model.states.index(b) for b in bodies]
+    speeds = [model.states.index(f"{b}'") for b in bodies]
+    stiffness = -model.A[np.ix_(speeds, positions)]
+    omega2 = np.sort(np.linalg.eigvals(stiffness).real)
+    omega2 = omega2[omega2 > _RIGID * max(float(omega2.max()), 1.0)]
+    if not len(omega2):
         return ()
     return tuple(
-        Oscillation(frequency_hz=float(w / (2 * np.pi)), damping=_damping(model, place, rate, w))
-        for w in np.sqrt(squares)
+        Oscillation(
+            frequency_hz=float(w / (2 * np.pi)), damping=_damping(model, positions, speeds, w)
+        )
+        for w in np.sqrt(omega2)
     )
 
 
-def _damping(model: StateSpace, place: list[int], rate: list[int], omega: float) -> float:
+def _damping(model: StateSpace, positions: list[int], speeds: list[int], omega: float) -> float:
     """Return the damping ratio of the pole pair of an undamped mode.
 
     All damping is increased from 0 to its value in 64 steps, and the pair is followed from step to
     step.
     """
-    n = len(place)
-    whole = np.zeros((2 * n, 2 * n))
-    whole[:n, n:] = np.eye(n)
-    whole[n:, :n] = model.A[np.ix_(rate, place)]
-    damping: FloatArray = model.A[np.ix_(rate, rate)]
-    at = 1j * omega
+    n = len(positions)
+    companion = np.zeros((2 * n, 2 * n))
+    companion[:n, n:] = np.eye(n)
+    companion[n:, :n] = model.A[np.ix_(speeds, positions)]
+    damping: FloatArray = model.A[np.ix_(speeds, speeds)]
+    pole = 1j * omega
     for share in np.linspace(0.0, 1.0, 65)[1:]:
-        whole[n:, n:] = share * damping
-        poles = np.linalg.eigvals(whole)
-        at = poles[int(np.argmin(np.abs(poles - at)))]
+        companion[n:, n:] = share * damping
+        poles = np.linalg.eigvals(companion)
+        pole = poles[int(np.argmin(np.abs(poles - pole)))]
     # A pair that has met on the real axis has the ratio 1, even if rounding lost one of its poles.
-    return float(-at.real / abs(at)) if at else 1.0
+    return float(-pole.real / abs(pole)) if pole else 1.0

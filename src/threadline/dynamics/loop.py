@@ -103,8 +103,8 @@ class Loop:
 
     def delays_s(self) -> FloatArray:
         """Return the (controllers,) dead times of the continuous model."""
-        held = [f.period_s / 2.0 if self.hold else 0.0 for f in self.filters]
-        return np.asarray(self.plant.delay_s + np.array(held))
+        hold_delays = [f.period_s / 2.0 if self.hold else 0.0 for f in self.filters]
+        return np.asarray(self.plant.delay_s + np.array(hold_delays))
 
     def sampled_plant(self) -> SampledPlant:
         """Return the plant of ``measured`` with held inputs, from tick to tick."""
@@ -125,16 +125,19 @@ class Loop:
             G = (self.sampled_plant() if sampled is None else sampled).response(omega)
         else:
             G = self.measured().response(omega)
-            held = self.delays_s() - self.plant.delay_s
-            G = G * np.exp(-1j * omega[:, None] * held)[:, None, :]
-        i = self.index
-        others = [k for k in range(len(self.filters)) if k != i]
+            hold_delays = self.delays_s() - self.plant.delay_s
+            G = G * np.exp(-1j * omega[:, None] * hold_delays)[:, None, :]
+        own = self.index
+        others = [k for k in range(len(self.filters)) if k != own]
         if not others:
             return np.asarray(G[:, 0, 0])
-        D = np.stack([_filter(self.filters[k], omega, model) for k in others], axis=1)
-        oo = np.eye(len(others)) + G[:, others][:, :, others] * D[:, None, :]
-        answer = np.linalg.solve(oo, G[:, others, i][:, :, None])[:, :, 0]
-        return np.asarray(G[:, i, i] - np.einsum("ko,ko->k", G[:, i, others] * D, answer))
+        other_filters = np.stack([_filter(self.filters[k], omega, model) for k in others], axis=1)
+        others_open = np.eye(len(others)) + G[:, others][:, :, others] * other_filters[:, None, :]
+        others_response = np.linalg.solve(others_open, G[:, others, own][:, :, None])[:, :, 0]
+        return np.asarray(
+            G[:, own, own]
+            - np.einsum("ko,ko->k", G[:, own, others] * other_filters, others_response)
+        )
 
     def responder(self, model: Model = "sampled") -> Callable[[FloatArray], ComplexArray]:
         """Return the open-loop response ``L = D G`` as a function of (k,) rad/s, dead time exact.
@@ -146,8 +149,8 @@ class Loop:
 
         def response(omega_rad_s: FloatArray) -> ComplexArray:
             omega = np.atleast_1d(np.asarray(omega_rad_s, dtype=np.float64))
-            own = _filter(self.filters[self.index], omega, model)
-            return np.asarray(own * self._seen(omega, model, sampled))
+            filter_response = _filter(self.filters[self.index], omega, model)
+            return np.asarray(filter_response * self._seen(omega, model, sampled))
 
         return response
 
@@ -220,19 +223,19 @@ class MatrixLoop(Loop):
         """
         if model != "sampled":
             raise self._refused()
-        read = self.plant.select(list(self.plant.inputs), list(self.readings))
-        sampled = sample(read, self.tick_s)
-        i = self.index
-        others = [k for k in range(len(self.controllers)) if k != i]
+        read_plant = self.plant.select(list(self.plant.inputs), list(self.readings))
+        sampled = sample(read_plant, self.tick_s)
+        own = self.index
+        others = [k for k in range(len(self.controllers)) if k != own]
 
         def response(omega_rad_s: FloatArray) -> ComplexArray:
             omega = np.atleast_1d(np.asarray(omega_rad_s, dtype=np.float64))
-            back = self.controller.feedback(np.exp(1j * omega * self.tick_s))
-            M = back @ sampled.response(omega)
-            oo = np.eye(len(others)) - M[:, others][:, :, others]
-            answer = np.linalg.solve(oo, M[:, others, i][:, :, None])[:, :, 0]
-            through = np.einsum("ko,ko->k", M[:, i, others], answer)
-            return np.asarray(-(M[:, i, i] + through))
+            feedback = self.controller.feedback(np.exp(1j * omega * self.tick_s))
+            M = feedback @ sampled.response(omega)
+            others_open = np.eye(len(others)) - M[:, others][:, :, others]
+            others_response = np.linalg.solve(others_open, M[:, others, own][:, :, None])[:, :, 0]
+            by_others = np.einsum("ko,ko->k", M[:, own, others], others_response)
+            return np.asarray(-(M[:, own, own] + by_others))
 
         return response
 
@@ -251,9 +254,9 @@ class MatrixLoop(Loop):
 
         def followed(omega_rad_s: FloatArray) -> ComplexArray:
             z = np.exp(1j * np.atleast_1d(omega_rad_s) * self.tick_s)
-            inner = z[:, None, None] * np.eye(len(closed.A)) - closed.A
+            resolvent = z[:, None, None] * np.eye(len(closed.A)) - closed.A
             B = np.broadcast_to(closed.B[:, self.index, None], (len(z), len(closed.A), 1))
-            state = np.linalg.solve(inner, B)[:, :, 0]
+            state = np.linalg.solve(resolvent, B)[:, :, 0]
             return np.asarray(state @ closed.C[row] + closed.D[row, self.index])
 
         return followed

@@ -56,7 +56,7 @@ NUMBERS: Mapping[ControllerKind, tuple[str, ...]] = {
 LEAST_GAIN_MARGIN = 2.0
 """Smallest gain margin of a designed loop, unless its crossover is given."""
 _INTEGRAL = 10.0  # integral time times crossover in rad/s
-_GRID, _AROUND = 1500, 120
+_GRID_POINTS, _RESONANCE_POINTS = 1500, 120
 _CANDIDATES = 240
 _SMALL = 0.02  # a phase crossover with a smaller gain does not limit the gain
 
@@ -91,19 +91,19 @@ def with_controller(
         "drive": old.drive,
         "dac": old.dac,
     }
-    made: dict[ControllerKind, Any] = {
+    classes: dict[ControllerKind, Any] = {
         "p": PController,
         "pi": PiController,
         "pd": PdController,
         "pid": PidController,
         "lead": LeadController,
     }
-    new = made[kind](kind=kind, **common, **numbers)
-    note = repr((name, kind, sorted((key, float(value)) for key, value in gains.items())))
+    new = classes[kind](kind=kind, **common, **numbers)
+    change_text = repr((name, kind, sorted((key, float(value)) for key, value in gains.items())))
     return dataclasses.replace(
         machine,
         controllers={**machine.controllers, name: new},
-        sha256=hashlib.sha256((machine.sha256 + note).encode()).hexdigest(),
+        sha256=hashlib.sha256((machine.sha256 + change_text).encode()).hexdigest(),
     )
 
 
@@ -138,11 +138,11 @@ def plant_grid(loop: Loop) -> FloatArray:
     moving = np.abs(poles)[np.abs(poles) > 1e-6 * max(np.abs(poles).max(), 1.0)]
     low = 1e-2 * min(float(moving.min()) if len(moving) else 10.0, 10.0)
     high = np.pi / loop.period_s * (1 - 1e-9)
-    parts = [np.geomspace(low, high, _GRID)]
+    parts = [np.geomspace(low, high, _GRID_POINTS)]
     for pole in poles[poles.imag > 0].tolist():
-        size = abs(pole)
-        width = 6.0 * min(max(abs(pole.real) / size, 1e-3), 0.1)
-        parts.append(size * np.linspace(1.0 - width, 1.0 + width, _AROUND))
+        magnitude = abs(pole)
+        width = 6.0 * min(max(abs(pole.real) / magnitude, 1e-3), 0.1)
+        parts.append(magnitude * np.linspace(1.0 - width, 1.0 + width, _RESONANCE_POINTS))
     grid = np.unique(np.concatenate(parts))
     return np.asarray(grid[(grid >= low) & (grid <= high)])
 
@@ -182,26 +182,28 @@ class GridMargins:
 def grid_margins(L: ComplexArray, omega_rad_s: FloatArray) -> GridMargins:
     """Return the margins of (m, k) open-loop responses at (k,) frequencies."""
     L = np.atleast_2d(L)
-    size = np.log(np.maximum(np.abs(L), 1e-12))
-    crosses = (size[:, :-1] > 0.0) != (size[:, 1:] > 0.0)
-    share = _share(size, crosses)
-    turn = np.angle(L[:, 1:] / L[:, :-1])
-    angle = np.degrees(np.angle(-L[:, :-1] * np.exp(1j * share * turn)))
+    log_gain = np.log(np.maximum(np.abs(L), 1e-12))
+    crosses = (log_gain[:, :-1] > 0.0) != (log_gain[:, 1:] > 0.0)
+    share = _share(log_gain, crosses)
+    phase_step = np.angle(L[:, 1:] / L[:, :-1])
+    angle = np.degrees(np.angle(-L[:, :-1] * np.exp(1j * share * phase_step)))
     phase = np.where(crosses, angle, np.inf).min(axis=1)
-    at = omega_rad_s[:-1] + share * np.diff(omega_rad_s)
-    first = np.where(crosses, at, np.inf).min(axis=1)
-    first = np.where(np.isfinite(first), first, 0.0)
-    flips = (L.imag[:, :-1] > 0.0) != (L.imag[:, 1:] > 0.0)
-    flips &= L.real[:, :-1] + L.real[:, 1:] < 0.0
-    flips &= omega_rad_s[:-1] > 0.5 * first[:, None]
-    part = _share(L.imag, flips)
-    real = L.real[:, :-1] + part * np.diff(L.real, axis=1)
-    flips &= real < -_SMALL
-    factor = np.where(flips, -1.0 / np.where(flips, real, -1.0), np.inf).min(axis=1)
+    crossover = omega_rad_s[:-1] + share * np.diff(omega_rad_s)
+    first_crossover = np.where(crosses, crossover, np.inf).min(axis=1)
+    first_crossover = np.where(np.isfinite(first_crossover), first_crossover, 0.0)
+    is_phase_crossover = (L.imag[:, :-1] > 0.0) != (L.imag[:, 1:] > 0.0)
+    is_phase_crossover &= L.real[:, :-1] + L.real[:, 1:] < 0.0
+    is_phase_crossover &= omega_rad_s[:-1] > 0.5 * first_crossover[:, None]
+    flip_share = _share(L.imag, is_phase_crossover)
+    real = L.real[:, :-1] + flip_share * np.diff(L.real, axis=1)
+    is_phase_crossover &= real < -_SMALL
+    factor = np.where(
+        is_phase_crossover, -1.0 / np.where(is_phase_crossover, real, -1.0), np.inf
+    ).min(axis=1)
     return GridMargins(
         gain_factor=factor,
         phase_deg=phase,
-        crossover_rad_s=first,
+        crossover_rad_s=first_crossover,
         modulus=np.abs(1.0 + L).min(axis=1),
     )
 
@@ -225,10 +227,10 @@ def check_wanted(loop: Loop, phase_margin_deg: float, crossover_hz: float | None
             f"phase margin {phase_margin_deg:g} deg is outside 0 ... 180 deg",
             remedy="Give 30 to 70 deg.",
         )
-    half = 0.5 / loop.period_s
-    if crossover_hz is not None and not 0 < crossover_hz < half:
+    nyquist_hz = 0.5 / loop.period_s
+    if crossover_hz is not None and not 0 < crossover_hz < nyquist_hz:
         raise OptionError(
-            f"crossover {crossover_hz:g} Hz is outside 0 ... {half:g} Hz",
+            f"crossover {crossover_hz:g} Hz is outside 0 ... {nyquist_hz:g} Hz",
             remedy="Give at most half the controller's rate.",
         )
 
@@ -264,39 +266,39 @@ def design(
     if crossover_hz is not None:
         omega = np.array([2 * np.pi * crossover_hz])
         response = loop.filters[loop.index].volt_per_level * loop.plant_response(omega)
-        found = _gains(kind, omega, response, phase_margin_deg, loop.period_s)
+        candidates = _gains(kind, omega, response, phase_margin_deg, loop.period_s)
         if kind in {"p", "pi"}:  # the single gain is set by the crossover, whatever the phase
             kp = 1.0 / np.abs(_shape(kind, omega, loop.period_s) * response)
-            found = {"kp": kp, "ki": kp * omega * loop.period_s / _INTEGRAL}
+            candidates = {"kp": kp, "ki": kp * omega * loop.period_s / _INTEGRAL}
             if kind == "p":
-                del found["ki"]
-        if not _possible(kind, found)[0]:
+                del candidates["ki"]
+        if not _gains_possible(kind, candidates)[0]:
             raise OptionError(
                 f"axis {loop.axis}: no {NAMES[kind]} controller has {phase_margin_deg:g} deg at "
                 f"{crossover_hz:g} Hz",
                 remedy="Ask for a lower crossover or another phase margin.",
             )
-        return {key: float(value[0]) for key, value in found.items()}
-    inside = plant.omega_rad_s < np.pi / loop.period_s * 0.9
-    omega = plant.omega_rad_s[inside]
-    response = plant.response[inside]
+        return {key: float(value[0]) for key, value in candidates.items()}
+    in_range = plant.omega_rad_s < np.pi / loop.period_s * 0.9
+    omega = plant.omega_rad_s[in_range]
+    response = plant.response[in_range]
     if kind in {"p", "pi"}:
-        omega = _one_gain(kind, omega, response, phase_margin_deg, loop.period_s)
+        omega = _single_gain_crossovers(kind, omega, response, phase_margin_deg, loop.period_s)
         response = loop.filters[loop.index].volt_per_level * loop.plant_response(omega)
     else:
-        chosen = np.unique(np.linspace(0, len(omega) - 1, _CANDIDATES).astype(int))
-        omega, response = omega[chosen], response[chosen]
-    found = _gains(kind, omega, response, phase_margin_deg, loop.period_s)
-    for k in np.argsort(-_slow_gain(kind, found)):
-        if not _possible(kind, found)[k]:
+        candidate_index = np.unique(np.linspace(0, len(omega) - 1, _CANDIDATES).astype(int))
+        omega, response = omega[candidate_index], response[candidate_index]
+    candidates = _gains(kind, omega, response, phase_margin_deg, loop.period_s)
+    for k in np.argsort(-_slow_gain(kind, candidates)):
+        if not _gains_possible(kind, candidates)[k]:
             continue
-        gains = {key: float(value[k]) for key, value in found.items()}
+        gains = {key: float(value[k]) for key, value in candidates.items()}
         L = plant.response * plant.controller(kind, gains)
         margins = grid_margins(L, plant.omega_rad_s)
         # The loop may have further crossovers with less phase.
-        enough = margins.gain_factor[0] >= LEAST_GAIN_MARGIN
-        enough &= margins.phase_deg[0] >= phase_margin_deg - 0.5
-        if enough and _stable(machine, loop, kind, gains):
+        has_margins = margins.gain_factor[0] >= LEAST_GAIN_MARGIN
+        has_margins &= margins.phase_deg[0] >= phase_margin_deg - 0.5
+        if has_margins and _stable(machine, loop, kind, gains):
             return gains
     raise OptionError(
         f"axis {loop.axis}: no {NAMES[kind]} controller has a phase margin of "
@@ -308,8 +310,8 @@ def design(
 def _stable(machine: Machine, loop: Loop, kind: ControllerKind, gains: Mapping[str, float]) -> bool:
     from threadline.dynamics.loop import axis_loop
 
-    made = with_controller(machine, loop.axis, kind, gains)
-    return not len(unstable_eigenvalues(axis_loop(made, loop.axis).closed().A))
+    designed = with_controller(machine, loop.axis, kind, gains)
+    return not len(unstable_eigenvalues(axis_loop(designed, loop.axis).closed().A))
 
 
 def _shape(kind: ControllerKind, omega: FloatArray, period_s: float) -> ComplexArray:
@@ -331,26 +333,26 @@ def _gains(
     if kind == "lead":
         gain, zero = lead_from_response(response, omega, margin_deg, period_s, COEFFICIENT_LOW)
         return {"gain": gain, "zero": zero, "pole": np.full(len(omega), COEFFICIENT_LOW)}
-    wanted = np.exp(1j * np.radians(margin_deg - 180.0)) / response
+    needed = np.exp(1j * np.radians(margin_deg - 180.0)) / response
     shape = _shape(kind, omega, period_s)
     d = 1.0 - np.exp(-1j * omega * period_s)
     kd = np.zeros(len(omega))
     if kind in {"pd", "pid"}:
-        # wanted = kp shape + kd d, real and imaginary parts.
-        ratio, other = wanted / shape, d / shape
-        kd = ratio.imag / other.imag
-        kp = ratio.real - kd * other.real
+        # needed = kp shape + kd d, real and imaginary parts.
+        ratio, d_ratio = needed / shape, d / shape
+        kd = ratio.imag / d_ratio.imag
+        kp = ratio.real - kd * d_ratio.real
     else:
-        kp = (wanted / shape).real
-    found = {"kp": np.asarray(kp)}
+        kp = (needed / shape).real
+    gains = {"kp": np.asarray(kp)}
     if kind in {"pi", "pid"}:
-        found["ki"] = np.asarray(kp * omega * period_s / _INTEGRAL)
+        gains["ki"] = np.asarray(kp * omega * period_s / _INTEGRAL)
     if kind in {"pd", "pid"}:
-        found["kd"] = np.asarray(kd)
-    return found
+        gains["kd"] = np.asarray(kd)
+    return gains
 
 
-def _possible(kind: ControllerKind, gains: Mapping[str, FloatArray]) -> NDArray[np.bool_]:
+def _gains_possible(kind: ControllerKind, gains: Mapping[str, FloatArray]) -> NDArray[np.bool_]:
     if kind == "lead":
         zero = gains["zero"]
         return np.asarray((zero >= COEFFICIENT_LOW) & (zero <= COEFFICIENT_HIGH))
@@ -367,7 +369,7 @@ def _slow_gain(kind: ControllerKind, gains: Mapping[str, FloatArray]) -> FloatAr
     return np.asarray(np.nan_to_num(gain, nan=-np.inf))
 
 
-def _one_gain(
+def _single_gain_crossovers(
     kind: ControllerKind,
     omega: FloatArray,
     response: ComplexArray,
@@ -378,6 +380,6 @@ def _one_gain(
     angle = np.angle(
         response * _shape(kind, omega, period_s) * np.exp(-1j * np.radians(margin_deg - 180.0))
     )
-    here = (angle[:-1] > 0.0) & (angle[1:] <= 0.0) & (angle[:-1] - angle[1:] < np.pi)
-    share = angle[:-1][here] / (angle[:-1] - angle[1:])[here]
-    return np.asarray(omega[:-1][here] + share * np.diff(omega)[here])
+    crosses = (angle[:-1] > 0.0) & (angle[1:] <= 0.0) & (angle[:-1] - angle[1:] < np.pi)
+    share = angle[:-1][crosses] / (angle[:-1] - angle[1:])[crosses]
+    return np.asarray(omega[:-1][crosses] + share * np.diff(omega)[crosses])

@@ -24,7 +24,7 @@ from threadline.dynamics.sampled import sample
 from threadline.machine import Machine
 
 _SETTLES = 1e-4  # the response to a change ends when the slowest pole has decayed to this share
-_MOST_TICKS = 600
+_MAX_TICKS = 600
 _SPARE_TICKS = 20
 _NOTHING_V = 1e-9  # far above rounding errors of levels, far below the effect of a sensor count
 
@@ -55,19 +55,19 @@ class LoopTicks:
         loop = inverse.loop
         self._filter = loop.filters[loop.index]
         self._counts_per_unit = loop.counts_per_unit
-        seen = [loop.sensors[loop.index], f"{axis}.load"]
+        outputs = [loop.sensors[loop.index], f"{axis}.load"]
         self._plant = sample(
-            loop.plant.select([loop.plant.inputs[loop.index]], seen), loop.period_s
+            loop.plant.select([loop.plant.inputs[loop.index]], outputs), loop.period_s
         )
         drive = machine.drive_of(axis)
         ohms, emf = 1.0, 0.0
         if drive.amplifier.mode == "voltage":
-            turning = abs(drive_rate(machine, axis, rigid_motion(machine, axis)))
+            drive_per_axis = abs(drive_rate(machine, axis, rigid_motion(machine, axis)))
             ohms = drive.resistance.si
-            emf = drive.back_emf.si * turning / self._counts_per_unit / loop.period_s
+            emf = drive.back_emf.si * drive_per_axis / self._counts_per_unit / loop.period_s
         self._per_volt, self._per_count = drive.amplifier.gain.si / ohms, emf / ohms
         radius = min(max(loop.closed().spectral_radius, 1e-3), 1.0 - 1e-9)
-        self.memory = min(int(np.ceil(np.log(_SETTLES) / np.log(radius))), _MOST_TICKS)
+        self.memory = min(int(np.ceil(np.log(_SETTLES) / np.log(radius))), _MAX_TICKS)
         self.memory += _SPARE_TICKS
 
     def current_a(self, acts: FloatArray, counts: FloatArray) -> FloatArray:
@@ -86,11 +86,11 @@ class LoopTicks:
             of the DAC's voltage.
         """
         b, a = self._filter.numerator, self._filter.denominator
-        plant, late = self._plant, self._plant.ticks[0]
+        plant, dead_ticks = self._plant, self._plant.ticks[0]
         count, columns = more_si.shape
         state = np.zeros((len(plant.transition), columns))
         first, second = np.zeros(columns), np.zeros(columns)
-        line = [np.zeros(columns) for _ in range(late + 2)]
+        delay_line = [np.zeros(columns) for _ in range(dead_ticks + 2)]
         load, levels = np.empty((count, columns)), np.empty((count, columns))
         acts, read = np.empty((count, columns)), np.empty((count, columns))
         for k in range(count):
@@ -101,17 +101,17 @@ class LoopTicks:
             first = b[1] * error - a[1] * levels[k] + second
             second = b[2] * error - a[2] * levels[k]
             acts[k] = effect(k, levels[k])
-            line = [acts[k], *line[:-1]]
+            delay_line = [acts[k], *delay_line[:-1]]
             state = plant.transition @ state
-            state += plant.newer * line[late] + plant.older * line[late + 1]
+            state += plant.newer * delay_line[dead_ticks] + plant.older * delay_line[dead_ticks + 1]
         return Changes(load_si=load, levels=levels, current_a=self.current_a(acts, read))
 
 
 def acting(levels: FloatArray) -> FloatArray:
     """Return the (k,) outputs of a DAC that loses the first tick after a reversal."""
-    acts, before = levels.copy(), 0.0
+    acts, last_output = levels.copy(), 0.0
     for k, level in enumerate(levels.tolist()):
-        acts[k] = before = acts_after(before, level)
+        acts[k] = last_output = acts_after(last_output, level)
     return acts
 
 
@@ -120,14 +120,14 @@ def acts_after(before: float, level: float) -> float:
 
     A level with a magnitude below ``_NOTHING_V`` is rounding noise and has no sign.
     """
-    signed = min(abs(level), abs(before)) >= _NOTHING_V
-    return 0.0 if signed and level * before < 0.0 else level
+    not_zero = min(abs(level), abs(before)) >= _NOTHING_V
+    return 0.0 if not_zero and level * before < 0.0 else level
 
 
 AHEAD = 3
 """Number of following voltages on which a level depends."""
 _NOISE_COUNTS = 2.0
-_LEAST = 0.5  # a neighbour of a lost tick keeps at least this share of its level
+_LEAST_LEVEL_SHARE = 0.5  # a neighbour of a lost tick keeps at least this share of its level
 
 
 class Levels:
@@ -155,12 +155,12 @@ class Levels:
     def feed(self, volts: FloatArray) -> FloatArray:
         """Return levels for the next (k,) voltages, delayed by ``AHEAD`` ticks."""
         if not self._skips:
-            held = np.concatenate([self._volts, volts])
-            self._volts = held[-AHEAD:]
-            return np.asarray(held[:-AHEAD])
-        held = np.concatenate([self._volts, volts])
-        levels, self._sign = _levels(held, self._level, self._sign, self._band)
-        self._volts = held[1 - AHEAD :]
+            pending = np.concatenate([self._volts, volts])
+            self._volts = pending[-AHEAD:]
+            return np.asarray(pending[:-AHEAD])
+        pending = np.concatenate([self._volts, volts])
+        levels, self._sign = _levels(pending, self._level, self._sign, self._band)
+        self._volts = pending[1 - AHEAD :]
         # The first level belongs to the preceding tick; in the first call there is none.
         levels = levels if self._begun else levels[1:]
         self._begun = True
@@ -189,30 +189,34 @@ def _levels(volts, held, sign, band):
     """
     count = len(volts) - 2
     out = np.empty(count)
-    before, given = held[0], held[1]
+    level_before, carried = held[0], held[1]
     for k in range(count):
-        now, after = volts[k], volts[k + 1]
-        level = now + given
-        given = 0.0
-        away = sign * now < 0.0
+        volts_now, volts_after = volts[k], volts[k + 1]
+        level = volts_now + carried
+        carried = 0.0
+        has_reversed = sign * volts_now < 0.0
         # The tick before a reversal may have the smaller voltage. If the sign changes for one tick
         # only, either that tick is lost, or the ticks before and after it.
-        back = abs(volts[k + 2]) if after * volts[k + 2] < 0.0 else 0.0
-        soon = sign * now > 0.0 and now * after < 0.0 and abs(now) + back < abs(after)
-        if away or soon:
-            lost = level
-            sure = min(abs(before), abs(after))
-            level = -sign * max(abs(now) if away else band, sure)
-            share = _limited_change(before, 0.5 * lost)
-            before += share
-            given = _limited_change(after, lost - share)
+        volts_back = abs(volts[k + 2]) if volts_after * volts[k + 2] < 0.0 else 0.0
+        reverses_next = (
+            sign * volts_now > 0.0
+            and volts_now * volts_after < 0.0
+            and abs(volts_now) + volts_back < abs(volts_after)
+        )
+        if has_reversed or reverses_next:
+            lost_level = level
+            safe_level = min(abs(level_before), abs(volts_after))
+            level = -sign * max(abs(volts_now) if has_reversed else band, safe_level)
+            part_before = _limited_change(level_before, 0.5 * lost_level)
+            level_before += part_before
+            carried = _limited_change(volts_after, lost_level - part_before)
         elif sign * level > 0.0 and abs(level) < band:
-            given = level - sign * band
+            carried = level - sign * band
             level = sign * band
-        out[k] = before
-        sign = 0.0 if away or soon else np.sign(level)
-        before = level
-    held[0], held[1] = before, given
+        out[k] = level_before
+        sign = 0.0 if has_reversed or reverses_next else np.sign(level)
+        level_before = level
+    held[0], held[1] = level_before, carried
     return out, sign
 
 
@@ -221,7 +225,7 @@ def _limited_change(level, change):
     """Return ``change``, limited so that at least half of ``level`` remains."""
     if level * change >= 0.0:
         return change
-    return -np.sign(level) * min(abs(change), _LEAST * abs(level))
+    return -np.sign(level) * min(abs(change), _LEAST_LEVEL_SHARE * abs(level))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -260,11 +264,11 @@ class InverseOutput:
 
     def part(self, first: int, stop: int) -> InverseOutput:
         """Return the ticks from ``first`` to before ``stop``."""
-        some = slice(first, stop)
+        ticks = slice(first, stop)
         return InverseOutput(
-            references_si=self.references_si[some],
-            levels=self.levels[some],
-            counts=self.counts[some],
+            references_si=self.references_si[ticks],
+            levels=self.levels[ticks],
+            counts=self.counts[ticks],
         )
 
     def held(self, more: int) -> InverseOutput:

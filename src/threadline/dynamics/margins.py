@@ -62,9 +62,9 @@ def not_decaying(matrix: FloatArray) -> ComplexArray:
     """
     if not matrix.size:
         return np.empty(0, dtype=np.complex128)
-    found = np.asarray(np.linalg.eigvals(matrix), dtype=np.complex128)
-    left = found[found.real > -SIMPLE * size_of(matrix)]
-    return left[np.argsort(-left.real, kind="stable")]
+    eigenvalues = np.asarray(np.linalg.eigvals(matrix), dtype=np.complex128)
+    undamped = eigenvalues[eigenvalues.real > -SIMPLE * size_of(matrix)]
+    return undamped[np.argsort(-undamped.real, kind="stable")]
 
 
 def swinging(matrix: FloatArray) -> ComplexArray:
@@ -75,8 +75,8 @@ def swinging(matrix: FloatArray) -> ComplexArray:
     """
     if not matrix.size:
         return np.empty(0, dtype=np.complex128)
-    found = np.asarray(np.linalg.eigvals(matrix), dtype=np.complex128)
-    return found[found.imag > DOUBLE * size_of(matrix)]
+    eigenvalues = np.asarray(np.linalg.eigvals(matrix), dtype=np.complex128)
+    return eigenvalues[eigenvalues.imag > DOUBLE * size_of(matrix)]
 
 
 def unstable_eigenvalues(matrix: FloatArray) -> ComplexArray:
@@ -86,19 +86,19 @@ def unstable_eigenvalues(matrix: FloatArray) -> ComplexArray:
     that is outside the circle by at most 1e-9, or by at most ``SIMPLE`` times the norm, counts as
     lying on the circle.
     """
-    found = np.asarray(np.linalg.eigvals(matrix), dtype=np.complex128)
-    return found[np.abs(found) > 1.0 + max(_CIRCLE, SIMPLE * size_of(matrix))]
+    eigenvalues = np.asarray(np.linalg.eigvals(matrix), dtype=np.complex128)
+    return eigenvalues[np.abs(eigenvalues) > 1.0 + max(_CIRCLE, SIMPLE * size_of(matrix))]
 
 
 Response: TypeAlias = Callable[[FloatArray], ComplexArray]
 
-_STEP = 0.1
-_ROUNDS = 14
+_MAX_STEP = 0.1
+_REFINEMENTS = 14
 _MOST_POINTS = 400_000
 _START_POINTS = 600
 _NEGLIGIBLE = 1e-3
 _HALVINGS = 48  # number of halvings of a grid interval: down to the last digits of a double
-_SILENT = 1e-9  # a smaller gain is a rounding error, without a meaningful phase or slope
+_LEAST_MAGNITUDE = 1e-9  # a smaller gain is a rounding error, without a meaningful phase or slope
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -186,16 +186,16 @@ def refined_grid(
     also
         Additional frequencies of the grid, such as resonances.
     """
-    inside = [w for w in also if low < w < high]
-    grid = np.unique(np.concatenate([np.geomspace(low, high, _START_POINTS), inside]))
+    resonances = [w for w in also if low < w < high]
+    grid = np.unique(np.concatenate([np.geomspace(low, high, _START_POINTS), resonances]))
     values = response(grid)
-    for _ in range(_ROUNDS):
-        size = np.abs(values)
-        unit = values / np.maximum(size, _SILENT)
-        turn = np.abs(np.angle(unit[1:] * unit[:-1].conj()))
-        rise = np.abs(np.diff(_log(size)))
-        coarse = (turn > _STEP) | (rise > 2 * _STEP)
-        coarse &= np.maximum(size[1:], size[:-1]) > _SILENT
+    for _ in range(_REFINEMENTS):
+        magnitude = np.abs(values)
+        unit = values / np.maximum(magnitude, _LEAST_MAGNITUDE)
+        phase_step = np.abs(np.angle(unit[1:] * unit[:-1].conj()))
+        log_step = np.abs(np.diff(_log(magnitude)))
+        coarse = (phase_step > _MAX_STEP) | (log_step > 2 * _MAX_STEP)
+        coarse &= np.maximum(magnitude[1:], magnitude[:-1]) > _LEAST_MAGNITUDE
         if not coarse.any() or len(grid) > _MOST_POINTS:
             break
         middle = np.sqrt(grid[:-1] * grid[1:])[coarse]
@@ -212,21 +212,21 @@ def margins_of(response: Response, grid: FloatArray) -> Margins:
     A phase crossover with a gain below 1e-9 is rounding noise and is ignored.
     """
     values = response(grid)
-    size = _log(np.abs(values))
-    here = (size[:-1] * size[1:] <= 0) & ((size[:-1] != 0.0) | (size[1:] != 0.0))
-    at = _roots(lambda w: _log(np.abs(response(w))), grid[:-1][here], grid[1:][here])
-    angle = np.degrees(np.angle(-response(at))) if len(at) else at
+    log_gain = _log(np.abs(values))
+    crosses = (log_gain[:-1] * log_gain[1:] <= 0) & ((log_gain[:-1] != 0.0) | (log_gain[1:] != 0.0))
+    omegas = _roots(lambda w: _log(np.abs(response(w))), grid[:-1][crosses], grid[1:][crosses])
+    angle = np.degrees(np.angle(-response(omegas))) if len(omegas) else omegas
     gains = [
         GainCrossover(omega_rad_s=float(w), phase_margin_deg=float(p))
-        for w, p in zip(at, angle, strict=True)
+        for w, p in zip(omegas, angle, strict=True)
     ]
-    here = (values.imag[:-1] * values.imag[1:] <= 0) & (values.real[:-1] + values.real[1:] < 0)
-    at = _roots(lambda w: response(w).imag, grid[:-1][here], grid[1:][here])
-    there = response(at) if len(at) else np.empty(0, dtype=np.complex128)
+    crosses = (values.imag[:-1] * values.imag[1:] <= 0) & (values.real[:-1] + values.real[1:] < 0)
+    omegas = _roots(lambda w: response(w).imag, grid[:-1][crosses], grid[1:][crosses])
+    crossover_values = response(omegas) if len(omegas) else np.empty(0, dtype=np.complex128)
     phases = [
         PhaseCrossover(omega_rad_s=float(w), gain_factor=float(1.0 / abs(v)))
-        for w, v in zip(at, there, strict=True)
-        if v.real < -_SILENT
+        for w, v in zip(omegas, crossover_values, strict=True)
+        if v.real < -_LEAST_MAGNITUDE
     ]
     return Margins(
         gain_crossovers=tuple(gains),
@@ -236,8 +236,8 @@ def margins_of(response: Response, grid: FloatArray) -> Margins:
 
 
 def _log(size: FloatArray) -> FloatArray:
-    """Return the logarithm of (n,) magnitudes; magnitudes below ``_SILENT`` are clamped to it."""
-    return np.asarray(np.log(np.maximum(size, _SILENT)))
+    """Return the logarithm of (n,) magnitudes, clamped to at least ``_LEAST_MAGNITUDE``."""
+    return np.asarray(np.log(np.maximum(size, _LEAST_MAGNITUDE)))
 
 
 def _roots(
@@ -260,9 +260,9 @@ def _roots(
         middle = 0.5 * (a + b)
         above = (function(middle) > 0) == falling
         a, b = np.where(above, middle, a), np.where(above, b, middle)
-    found = np.where(first == 0.0, low, high)
-    found[bracketed] = 0.5 * (a + b)
-    return found
+    roots = np.where(first == 0.0, low, high)
+    roots[bracketed] = 0.5 * (a + b)
+    return roots
 
 
 def loop_grid(loop: Loop, model: Model = "sampled") -> FloatArray:
@@ -303,11 +303,11 @@ def bandwidth_rad_s(closed: Response, grid: FloatArray) -> float | None:
     if not len(below):
         return None
     k = int(below[0])
-    ends = grid[k - 1 : k + 1]
-    return float(_roots(lambda w: np.abs(closed(w)) - level, ends[:1], ends[1:])[0])
+    interval = grid[k - 1 : k + 1]
+    return float(_roots(lambda w: np.abs(closed(w)) - level, interval[:1], interval[1:])[0])
 
 
-_FARTHEST = 0.25
+_MAX_COUNT_ERROR = 0.25
 
 
 def unstable_count(loop: Loop) -> int:
@@ -321,8 +321,8 @@ def unstable_count(loop: Loop) -> int:
     poles = open_loop_poles(loop)
     # A zero of the filter at 0 (a controller of speed only) cancels a pole of the plant at 0.
     numerator = loop.filters[loop.index].continuous_numerator
-    hidden = len(numerator) - len(np.trim_zeros(numerator, "b"))
-    poles = np.delete(poles, np.flatnonzero(poles == 0.0)[:hidden])
+    cancelled = len(numerator) - len(np.trim_zeros(numerator, "b"))
+    poles = np.delete(poles, np.flatnonzero(poles == 0.0)[:cancelled])
     grid = loop_grid(loop, "continuous")
     return unstable_from(loop.responder("continuous")(grid), grid, poles)
 
@@ -336,19 +336,19 @@ def unstable_from(response: ComplexArray, omega_rad_s: FloatArray, poles: Comple
         If the count is not near a whole number.
     """
     # The phase of each factor changes from its value at the first frequency to pi/2 at infinity.
-    turned = float(np.angle(1j / (1j * omega_rad_s[0] - poles)).sum())
-    around = np.concatenate([1.0 + response, [1.0]])
-    turned += float(np.angle(around[1:] / around[:-1]).sum())
-    count = (len(poles) - turned * 2.0 / np.pi) / 2.0
-    if abs(count - round(count)) > _FARTHEST:
-        raise ValueError(f"the response turns by {turned:.4f} rad: a pole lies on the axis")
+    turned_rad = float(np.angle(1j / (1j * omega_rad_s[0] - poles)).sum())
+    closed_path = np.concatenate([1.0 + response, [1.0]])
+    turned_rad += float(np.angle(closed_path[1:] / closed_path[:-1]).sum())
+    count = (len(poles) - turned_rad * 2.0 / np.pi) / 2.0
+    if abs(count - round(count)) > _MAX_COUNT_ERROR:
+        raise ValueError(f"the response turns by {turned_rad:.4f} rad: a pole lies on the axis")
     return round(count)
 
 
 def open_loop_poles(loop: Loop) -> ComplexArray:
     """Return the (n,) poles of plant and axis controller, rad/s; a pole near 0 is returned as 0."""
-    own = np.roots(loop.filters[loop.index].continuous_denominator)
-    found = np.concatenate([loop.plant.poles(), own]).astype(np.complex128)
-    size = max(1.0, float(np.abs(found).max()))
-    found[np.abs(found) < 1e-6 * size] = 0.0
-    return found
+    filter_poles = np.roots(loop.filters[loop.index].continuous_denominator)
+    poles = np.concatenate([loop.plant.poles(), filter_poles]).astype(np.complex128)
+    size = max(1.0, float(np.abs(poles).max()))
+    poles[np.abs(poles) < 1e-6 * size] = 0.0
+    return poles

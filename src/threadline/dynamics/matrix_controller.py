@@ -46,8 +46,8 @@ class MatrixController:
 
     def feedback(self, z: ComplexArray) -> ComplexArray:
         """Return the (k, m, q) response from readings to voltages at (k,) values of z."""
-        inner = z[:, None, None] * np.eye(len(self.A)) - self.A
-        solved = np.linalg.solve(inner, np.broadcast_to(self.Y, (len(z), *self.Y.shape)))
+        resolvent = z[:, None, None] * np.eye(len(self.A)) - self.A
+        solved = np.linalg.solve(resolvent, np.broadcast_to(self.Y, (len(z), *self.Y.shape)))
         return np.asarray(self.C @ solved + self.Dy)
 
 
@@ -101,29 +101,29 @@ def close_matrix_loop(
         (m,) factors on the voltages.
     """
     sampled = sample(plant, period_s)
-    m, n, held = len(names), len(plant.A), len(controller.A)
-    lines = [t + 1 for t in sampled.ticks]
-    starts = n + np.concatenate(([0], np.cumsum(lines)[:-1])).astype(int)
-    memory = n + sum(lines)
-    size = memory + held
-    read = np.zeros((len(sensors), size))
-    read[:, :n] = [plant.C[plant.outputs.index(name)] for name in sensors]
-    level = gains[:, None] * (controller.Dy @ read)
+    m, n, controller_states = len(names), len(plant.A), len(controller.A)
+    line_lengths = [t + 1 for t in sampled.ticks]
+    starts = n + np.concatenate(([0], np.cumsum(line_lengths)[:-1])).astype(int)
+    memory = n + sum(line_lengths)
+    size = memory + controller_states
+    reading_rows = np.zeros((len(sensors), size))
+    reading_rows[:, :n] = [plant.C[plant.outputs.index(name)] for name in sensors]
+    level = gains[:, None] * (controller.Dy @ reading_rows)
     level[:, memory:] += gains[:, None] * controller.C
-    through = gains[:, None] * controller.Dr
+    feedthrough = gains[:, None] * controller.Dr
     A, B = np.zeros((size, size)), np.zeros((size, m))
     A[:n, :n] = sampled.transition
     for i, first in enumerate(starts.tolist()):
-        A[first], B[first] = level[i], through[i]
-        for j in range(1, lines[i]):
+        A[first], B[first] = level[i], feedthrough[i]
+        for j in range(1, line_lengths[i]):
             A[first + j, first + j - 1] = 1.0
         if sampled.ticks[i] == 0:
             A[:n] += np.outer(sampled.newer[:, i], level[i])
-            B[:n] += np.outer(sampled.newer[:, i], through[i])
+            B[:n] += np.outer(sampled.newer[:, i], feedthrough[i])
         else:
             A[:n, first + sampled.ticks[i] - 1] += sampled.newer[:, i]
         A[:n, first + sampled.ticks[i]] += sampled.older[:, i]
-    A[memory:] += controller.Y @ read
+    A[memory:] += controller.Y @ reading_rows
     A[memory:, memory:] += controller.A
     B[memory:] = controller.R
     rows = np.zeros((len(plant.C), size))
@@ -132,7 +132,7 @@ def close_matrix_loop(
         A=A,
         B=B,
         C=np.vstack([rows, level]),
-        D=np.vstack([np.zeros((len(plant.C), m)), through]),
+        D=np.vstack([np.zeros((len(plant.C), m)), feedthrough]),
         outputs=(*plant.outputs, *(f"controllers.{name}" for name in names)),
         period_s=period_s,
     )
@@ -162,14 +162,14 @@ class LoopPart(NamedTuple):
 def loop_parts(machine: Machine, controllers: Iterable[str]) -> tuple[LoopPart, ...]:
     """Return the loops of ``controllers``; the loops of one controller follow each other."""
     owner = {axis.controller: name for name, axis in machine.axes.items()}
-    found: list[LoopPart] = []
+    parts: list[LoopPart] = []
     for name in controllers:
         controller = machine.controllers[name]
         if isinstance(controller, StateSpaceController):
-            found += [
-                LoopPart(name, at, axis, controller.of_axis(axis))
-                for at, axis in enumerate(controller.references)
+            parts += [
+                LoopPart(name, place, axis, controller.of_axis(axis))
+                for place, axis in enumerate(controller.references)
             ]
         else:
-            found.append(LoopPart(name, 0, owner.get(name, ""), controller))
-    return tuple(found)
+            parts.append(LoopPart(name, 0, owner.get(name, ""), controller))
+    return tuple(parts)

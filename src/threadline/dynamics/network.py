@@ -106,10 +106,10 @@ def piecewise_linear(
     MachineError
          If a combination of parts has no equations.
     """
-    used = Values.of(machine) if values is None else values
+    all_values = Values.of(machine) if values is None else values
     start = np.zeros(len(machine.axes)) if start_si is None else start_si
     return tuple(
-        _Builder(machine, used, group, start, pulled).build()
+        _Builder(machine, all_values, group, start, pulled).build()
         for group in connected_groups(machine)
         if not drive or drive in group.drives
     )
@@ -188,26 +188,26 @@ class _Builder:
         """Add an external force on each axis: by virtual work it acts on the bodies of the load."""
         bodies = len(self.group.bodies)
         first = self.n + len(self.group.drives)
-        for x in range(len(self.group.axes)):
-            for at, body in enumerate(self.group.bodies):
-                weight = load_rows[:, x, at] / self.inertia[body]
-                self.base[:, bodies + at, first + x] = weight
+        for axis_index in range(len(self.group.axes)):
+            for body_index, body in enumerate(self.group.bodies):
+                weight = load_rows[:, axis_index, body_index] / self.inertia[body]
+                self.base[:, bodies + body_index, first + axis_index] = weight
 
     def _value(self, path: str, quantity: Quantity | None) -> FloatArray:
         # Called a hundred times per machine; ``np.broadcast_to`` would be ten times slower.
-        found = np.empty(self.count)
-        found[:] = self.values.at(path, quantity)
-        return found
+        column = np.empty(self.count)
+        column[:] = self.values.at(path, quantity)
+        return column
 
     def _stack(self, rows: list[FloatArray]) -> FloatArray:
         return np.stack(rows, axis=1) if rows else np.zeros((self.count, 0, self.size))
 
     def _weights(
-        self, parts: Mapping[str, Quantity], where: dict[str, int], path: str = ""
+        self, parts: Mapping[str, Quantity], columns: dict[str, int], path: str = ""
     ) -> FloatArray:
         row = np.zeros((self.count, self.size))
         for body, quantity in parts.items():
-            row[:, where[body]] = self._value(f"{path}.{body}", quantity)
+            row[:, columns[body]] = self._value(f"{path}.{body}", quantity)
         return row
 
     def _direction(
@@ -227,10 +227,10 @@ class _Builder:
 
     def _add_body(self, name: str) -> None:
         body = self.machine.bodies[name]
-        at = self.velocity[name]
-        self.base[:, self.position[name], at] = 1.0
+        velocity = self.velocity[name]
+        self.base[:, self.position[name], velocity] = 1.0
         damping = self._value(f"bodies.{name}.damping", body.damping)
-        self.base[:, at, at] -= damping / self.inertia[name]
+        self.base[:, velocity, velocity] -= damping / self.inertia[name]
 
     def _add_friction(self, name: str) -> None:
         body = self.machine.bodies[name]
@@ -283,12 +283,12 @@ class _Builder:
             band = None if link.eccentric is None else self._band(name, link.eccentric)
             if band is None:
                 damped = bool((damping > 0).any())
-                made = el.play(path, direction, stretch, spring, stiffness, width, damped)
+                element = el.play(path, direction, stretch, spring, stiffness, width, damped)
             else:
-                made = eccentric_play(
+                element = eccentric_play(
                     path, direction, stretch, spring, stiffness, damping, width, band
                 )
-            self.elements.append(made)
+            self.elements.append(element)
         else:
             self._apply(direction, spring)
 
@@ -315,28 +315,29 @@ class _Builder:
         gain = self._value(f"{path}.amplifier.gain", amplifier.gain)
         volts = self._limit(f"{path}.amplifier.voltage_limit", amplifier.voltage_limit)
         amps = self._limit(f"{path}.amplifier.current_limit", amplifier.current_limit)
-        turning = self._weights(dict(drive.acts_on), self.velocity, f"{path}.acts_on")
-        held = np.zeros((self.count, self.size))
-        held[:, self.input[name]] = 1.0
-        one = np.zeros((self.count, self.size))
-        one[:, -1] = 1.0
+        drive_speed = self._weights(dict(drive.acts_on), self.velocity, f"{path}.acts_on")
+        input_row = np.zeros((self.count, self.size))
+        input_row[:, self.input[name]] = 1.0
+        unit_row = np.zeros((self.count, self.size))
+        unit_row[:, -1] = 1.0
         no_limit = np.full(self.count, np.inf)
         voltage_modes: tuple[tuple[FloatArray, float], ...] = ()
         state, limit_on_current, limit_on_input = self.coil.get(name, -1), amps, no_limit
         if amplifier.mode == "current":
-            free, limit_on_current = held, None
+            free, limit_on_current = input_row, None
             limit_on_input = no_limit if amps is None else amps
             if volts is not None:
                 # The current loop inside the amplifier is not simulated, so the inductance takes
                 # none of the voltage.
                 supply = [
-                    (sign * volts[:, None] * one - emf[:, None] * turning) / resistance[:, None]
+                    (sign * volts[:, None] * unit_row - emf[:, None] * drive_speed)
+                    / resistance[:, None]
                     for sign in (1.0, -1.0)
                 ]
                 voltage_modes = ((supply[0], 1.0), (supply[1], -1.0))
         else:
             limit_on_input = no_limit if volts is None else volts
-            law = (held - emf[:, None] * turning) / resistance[:, None]
+            law = (input_row - emf[:, None] * drive_speed) / resistance[:, None]
             if state >= 0:
                 inductance = self._value(f"{path}.inductance", drive.inductance)
                 coil = np.zeros((self.count, self.size))
@@ -377,11 +378,11 @@ class _Builder:
             if switch.cuts != drive:
                 continue
             row = self._load_row(switch.axis)
-            at = self._value(f"inputs.{name}.at", switch.at) - self.start[switch.axis]
+            position = self._value(f"inputs.{name}.at", switch.at) - self.start[switch.axis]
             if switch.beyond == "below":
-                guards.append(el.Guard(row=row, low=at, switch=index))
+                guards.append(el.Guard(row=row, low=position, switch=index))
             else:
-                guards.append(el.Guard(row=row, high=at, switch=index))
+                guards.append(el.Guard(row=row, high=position, switch=index))
         return tuple(guards)
 
     def _sensor_row(self, name: str) -> FloatArray:

@@ -24,8 +24,10 @@ _VISCOUS_SHARE = 0.5
 _CONSTANTS_APART = 0.05
 _SCALES_APART = 0.01
 _DEAD_COUNTS = 5.0
-_SPARE = 1.0 + 1e-9
-_BEYOND = 1.05  # allowed ratio of an axis limit to its drive's limit: data sheets round numbers
+_ROUNDING_FACTOR = 1.0 + 1e-9
+_MAX_LIMIT_RATIO = (
+    1.05  # allowed ratio of an axis limit to its drive's limit: data sheets round numbers
+)
 
 
 def plausibility_warnings(machine: Machine) -> list[str]:
@@ -48,31 +50,31 @@ def plausibility_warnings(machine: Machine) -> list[str]:
     """
     if machine.without_dynamics:
         return []
-    found = [text for name in machine.motors for text in _constants(machine, name)]
-    found += [text for name in machine.motors for text in _coil_left_out(machine, name)]
+    warnings = [text for name in machine.motors for text in _unequal_constants(machine, name)]
+    warnings += [text for name in machine.motors for text in _coil_left_out(machine, name)]
     for name in machine.axes:
         if machine.source_of(name) is not None:
-            found += _beyond_torque(machine, name)
+            warnings += _beyond_torque(machine, name)
             continue
-        found += _scale(machine, name)
-        found += _viscous(machine, name)
-        found += _beyond_drive(machine, name)
-        found += _beyond_current(machine, name)
-        found += _dead_band(machine, name)
-    return [*found, *short_of_torque(machine)]
+        warnings += _scale_contradicted(machine, name)
+        warnings += _high_damping(machine, name)
+        warnings += _beyond_drive(machine, name)
+        warnings += _beyond_current(machine, name)
+        warnings += _dead_band(machine, name)
+    return [*warnings, *short_of_torque(machine)]
 
 
-def _constants(machine: Machine, name: str) -> list[str]:
+def _unequal_constants(machine: Machine, name: str) -> list[str]:
     drive = machine.motors[name]
     torque, emf = drive.torque_constant, drive.back_emf
     if emf.si <= 0 and drive.amplifier.mode == "current":
         return []  # a current amplifier compensates the back-emf
-    apart = emf.si / torque.si - 1.0
-    if abs(apart) <= _CONSTANTS_APART:
+    difference = emf.si / torque.si - 1.0
+    if abs(difference) <= _CONSTANTS_APART:
         return []
     return [
         f"drives.{name}: torque_constant {torque.si:.4g} N m/A and back_emf {emf.si:.4g} V s/rad "
-        f"should be the same number; they disagree by {abs(apart) * 100:.0f} %"
+        f"should be the same number; they disagree by {abs(difference) * 100:.0f} %"
     ]
 
 
@@ -90,7 +92,7 @@ def _coil_left_out(machine: Machine, name: str) -> list[str]:
     ]
 
 
-def _scale(machine: Machine, name: str) -> list[str]:
+def _scale_contradicted(machine: Machine, name: str) -> list[str]:
     """Return a warning if the counts of an axis contradict those of its sensor and the gearing.
 
     This finds forgotten quadrature (four counts per line) and misplaced decimal points.
@@ -101,24 +103,24 @@ def _scale(machine: Machine, name: str) -> list[str]:
     sensor_name = machine.controller_of(name).sensor
     rates = rigid_motion(machine, name)
     reads = machine.sensors[sensor_name].reads
-    given = sum(q.si * rates[b] for b, q in reads.items())
+    through_gears = sum(q.si * rates[b] for b, q in reads.items())
     links = [q for link in machine.links.values() for q in link.stretch.values()]
     numbers = [axis.counts, *reads.values(), *axis.load.values(), *links]
     allowed = _SCALES_APART + sum(q.tolerance_si / abs(q.si) for q in numbers if q.si)
-    if abs(given / axis.counts.si - 1.0) <= allowed:
+    if abs(through_gears / axis.counts.si - 1.0) <= allowed:
         return []
-    goes = (
-        f"would move {axis.counts.si / given:.4g} times as far as commanded"
-        if given
+    consequence = (
+        f"would move {axis.counts.si / through_gears:.4g} times as far as commanded"
+        if through_gears
         else "would not move"
     )
     return [
         f"axes.{name}: counts is {axis.counts.si:.6g} per m or rad, but through belt and gear "
-        f"sensors.{sensor_name} gives {given:.6g}: the load {goes}"
+        f"sensors.{sensor_name} gives {through_gears:.6g}: the load {consequence}"
     ]
 
 
-def _viscous(machine: Machine, name: str) -> list[str]:
+def _high_damping(machine: Machine, name: str) -> list[str]:
     axis = machine.axes[name]
     drive_name = machine.controller_of(name).drive
     drive = machine.motors[drive_name]
@@ -127,21 +129,25 @@ def _viscous(machine: Machine, name: str) -> list[str]:
         return []
     speed = axis.working_velocity.si
     rates = rigid_motion(machine, name)
-    turning = drive_rate(machine, name, rates)
+    drive_per_axis = drive_rate(machine, name, rates)
     driven = [b for b in drive.acts_on if machine.bodies[b].damping is not None]
-    own = 0.0
+    motor_a = 0.0
     for body in driven:
         damping = machine.bodies[body].damping
         assert damping is not None
-        own += rates[body] ** 2 * damping.si * speed / (turning * drive.torque_constant.si)
-    whole = current_needed(machine, name, speed, 0.0)
-    if whole < _VISCOUS_SHARE * limit.si:
+        motor_a += (
+            rates[body] ** 2 * damping.si * speed / (drive_per_axis * drive.torque_constant.si)
+        )
+    needed_a = current_needed(machine, name, speed, 0.0)
+    if needed_a < _VISCOUS_SHARE * limit.si:
         return []
-    said = ", ".join(f"{machine.bodies[b].damping.si:.3g}" for b in driven)  # type: ignore[union-attr]
+    dampings = ", ".join(f"{machine.bodies[b].damping.si:.3g}" for b in driven)  # type: ignore[union-attr]
     return [
-        f"axes.{name}: at its working speed of {_speed(axis, speed)} the motor's damping of {said} "
-        f"N m s/rad takes {own:.1f} A of the {limit.si:g} A of drives.{drive_name}, all friction "
-        f"{whole:.1f} A; check the damping"
+        f"axes.{name}: at its working speed of {_speed(axis, speed)} the motor's damping of "
+        f"{dampings} "
+        f"N m s/rad takes {motor_a:.1f} A of the {limit.si:g} A of drives.{drive_name}, all "
+        "friction "
+        f"{needed_a:.1f} A; check the damping"
     ]
 
 
@@ -152,17 +158,17 @@ def _beyond_current(machine: Machine, name: str) -> list[str]:
     if limit is None or axis.working_velocity is None:
         return []
     speed, acceleration = axis.working_velocity.si, axis.acceleration.si
-    needed = current_needed(machine, name, speed, acceleration)
-    if needed <= limit.si * _SPARE:
+    needed_a = current_needed(machine, name, speed, acceleration)
+    if needed_a <= limit.si * _ROUNDING_FACTOR:
         return []
     unit = "m/s^2" if axis.kind == "linear" else "rad/s^2"
-    spare = limit.si - current_needed(machine, name, speed, 0.0)
+    spare_a = limit.si - current_needed(machine, name, speed, 0.0)
     per_acceleration = current_needed(machine, name, 0.0, 1.0)
-    left = f"{max(spare, 0.0) / per_acceleration:.3g} {unit}"
+    left_acceleration = f"{max(spare_a, 0.0) / per_acceleration:.3g} {unit}"
     return [
         f"axes.{name}: a reference that reaches {_speed(axis, speed)} at the allowed "
-        f"{acceleration:.4g} {unit} needs {needed:.1f} A, more than the {limit.si:g} A of "
-        f"drives.{drive_name}; at that speed {left} are left"
+        f"{acceleration:.4g} {unit} needs {needed_a:.1f} A, more than the {limit.si:g} A of "
+        f"drives.{drive_name}; at that speed {left_acceleration} are left"
     ]
 
 
@@ -175,26 +181,30 @@ def _beyond_drive(machine: Machine, name: str) -> list[str]:
     axis = machine.axes[name]
     drive = machine.controller_of(name).drive
     needs = drive_limits(machine, name, *drive_needs(machine, name))
-    found = []
-    for said, limit, column, unit in (
+    warnings = []
+    for limit_name, limit, column, unit in (
         ("velocity", axis.velocity.si, 1, "/s"),
         ("acceleration", axis.acceleration.si, 2, "/s^2"),
     ):
         reached, why = min(
             (
-                (max(most - need[0], 0.0) / need[column], called.format(most))
-                for most, need, called in needs
-                if need[column] > 0.0 and np.isfinite(most)
+                (
+                    max(drive_limit - needs_of_limit[0], 0.0) / needs_of_limit[column],
+                    limit_text.format(drive_limit),
+                )
+                for drive_limit, needs_of_limit, limit_text in needs
+                if needs_of_limit[column] > 0.0 and np.isfinite(drive_limit)
             ),
             default=(np.inf, ""),
         )
-        if limit > _BEYOND * reached:
-            found.append(
-                f"axes.{name}: {said} is {_shown(axis, limit)}{unit} in the machine file, but "
+        if limit > _MAX_LIMIT_RATIO * reached:
+            warnings.append(
+                f"axes.{name}: {limit_name} is {_shown(axis, limit)}{unit} in the machine file, "
+                "but "
                 f"drives.{drive} reaches at most {_shown(axis, reached)}{unit}, with the {why}: "
-                f"the machine would lag behind a faster plan; lower axes.{name}.{said}"
+                f"the machine would lag behind a faster plan; lower axes.{name}.{limit_name}"
             )
-    return found
+    return warnings
 
 
 def _shown(axis: Axis, value_si: float) -> str:
@@ -211,31 +221,31 @@ def _beyond_torque(machine: Machine, name: str) -> list[str]:
     assert source is not None
     drive = axis.drive
     rates = rigid_motion(machine, name)
-    given = rates[source.body] * source.counts / axis.counts.si
-    found = []
+    gear_ratio = rates[source.body] * source.counts / axis.counts.si
+    warnings = []
     allowed = _SCALES_APART + sum(
         q.tolerance_si / abs(q.si)
         for q in [axis.counts, *(q for p in machine.links.values() for q in p.stretch.values())]
         if q.si
     )
-    if axis.load is not None and abs(given - 1.0) > allowed:
-        found.append(
+    if axis.load is not None and abs(gear_ratio - 1.0) > allowed:
+        warnings.append(
             f"axes.{name}: counts is {axis.counts.si:.6g} per m or rad, but drives.{drive} gives "
             f"{source.counts * rates[source.body]:.6g} through belt and gear"
         )
     speed = axis.velocity.si
     force = rigid_force(machine, name, speed, axis.acceleration.si)
-    turns = abs(drive_rate(machine, name, rates))
-    needed = force / turns
-    there = float(source.most_torque(np.array([speed * turns]))[0])
-    if needed > there * _SPARE:
+    drive_per_axis = abs(drive_rate(machine, name, rates))
+    needed = force / drive_per_axis
+    torque_at_speed = float(source.most_torque(np.array([speed * drive_per_axis]))[0])
+    if needed > torque_at_speed * _ROUNDING_FACTOR:
         unit = "m/s^2" if axis.kind == "linear" else "rad/s^2"
-        asked = f"{needed:.4g} {drive_unit(machine, name)}"
-        found.append(
+        needed_text = f"{needed:.4g} {drive_unit(machine, name)}"
+        warnings.append(
             f"axes.{name}: at its limits, {_speed(axis, speed)} and {axis.acceleration.si:.4g} "
-            f"{unit}, drives.{drive} needs {asked} but has {there:.4g}"
+            f"{unit}, drives.{drive} needs {needed_text} but has {torque_at_speed:.4g}"
         )
-    return found
+    return warnings
 
 
 def _dead_band(machine: Machine, name: str) -> list[str]:
@@ -244,19 +254,22 @@ def _dead_band(machine: Machine, name: str) -> list[str]:
     if isinstance(machine.controllers[controller], StateSpaceController):
         return []  # it may integrate, and its output at rest depends on all of its readings
     b, a = difference_equation(machine, controller, Values.of(machine))
-    rest = 1.0 + float(a[0].sum())
-    if abs(rest) < _SPARE - 1.0:
+    denominator_sum = 1.0 + float(a[0].sum())
+    if abs(denominator_sum) < _ROUNDING_FACTOR - 1.0:
         return []
-    still = float(b[0].sum()) / rest
-    if still <= 0 or 0.5 / still < _DEAD_COUNTS:
+    static_gain = float(b[0].sum()) / denominator_sum
+    if static_gain <= 0 or 0.5 / static_gain < _DEAD_COUNTS:
         return []
-    band = 0.5 / still
+    band = 0.5 / static_gain
     axis = machine.axes[name]
-    size = band / axis.counts.si
-    said = f"{size * 1e3:.3g} mm" if axis.kind == "linear" else f"{np.degrees(size):.3g} deg"
+    band_si = band / axis.counts.si
+    band_text = (
+        f"{band_si * 1e3:.3g} mm" if axis.kind == "linear" else f"{np.degrees(band_si):.3g} deg"
+    )
     return [
-        f"controllers.{controller}: its static gain is {still:.3g} DAC levels per count, so an "
-        f"error of up to {band:.0f} counts ({said}) on axis {name} is rounded to 0"
+        f"controllers.{controller}: its static gain is {static_gain:.3g} DAC levels per count, "
+        "so an "
+        f"error of up to {band:.0f} counts ({band_text}) on axis {name} is rounded to 0"
     ]
 
 

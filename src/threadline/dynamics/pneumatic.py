@@ -104,8 +104,8 @@ class CylinderEquations:
     def standing(self) -> FloatArray:
         """Return the (variants, n, n) rates while the piston sticks in its housing."""
         rates = self.matrix.copy()
-        together = self.joined(self.matrix)
-        rates[:, self.piston] = rates[:, self.housing] = together
+        joint_row = self.joined(self.matrix)
+        rates[:, self.piston] = rates[:, self.housing] = joint_row
         return rates
 
     def holding(self) -> FloatArray:
@@ -114,8 +114,8 @@ class CylinderEquations:
         The force is the inertia of the piston times the difference between its acceleration
         together with the housing and its free acceleration. The force of the air is not included.
         """
-        own = self.joined(self.matrix) - self.matrix[:, self.piston]
-        return self.piston_inertia[:, None] * own
+        acceleration = self.joined(self.matrix) - self.matrix[:, self.piston]
+        return self.piston_inertia[:, None] * acceleration
 
 
 def network_of(machine: Machine, axis: str, values: Values | None = None) -> PiecewiseLinear:
@@ -159,33 +159,35 @@ def cylinder_equations(
     MachineError
         If its network piece is not linear, or the cylinder connects two pieces.
     """
-    used = Values.of(machine) if values is None else values
-    cylinder, piece = machine.cylinders[axis], network_of(machine, axis, used)
+    all_values = Values.of(machine) if values is None else values
+    cylinder, piece = machine.cylinders[axis], network_of(machine, axis, all_values)
 
     def number(path: str, quantity: Quantity | None) -> FloatArray:
-        return np.broadcast_to(np.asarray(used.at(path, quantity), dtype=float), (used.count,))
+        return np.broadcast_to(
+            np.asarray(all_values.at(path, quantity), dtype=float), (all_values.count,)
+        )
 
     states = (*piece.states, "flow", "air")
     n, size = len(states), len(piece.states)
     flow, air = size, size + 1
-    matrix = np.zeros((used.count, n, n))
+    matrix = np.zeros((all_values.count, n, n))
     matrix[:, :size, :size] = piece.base[:, :, :size]
-    stroke, rate, force = np.zeros(n), np.zeros(n), np.zeros((used.count, n))
+    stroke, rate, force = np.zeros(n), np.zeros(n), np.zeros((all_values.count, n))
     inertia = {}
     for body, sign in ((cylinder.pushes, 1.0), (cylinder.reacts_on, -1.0)):
         stroke[states.index(body)] = sign
-        at = states.index(f"{body}'")
-        rate[at] = sign
+        rate_index = states.index(f"{body}'")
+        rate[rate_index] = sign
         inertia[body] = number(f"bodies.{body}.inertia", machine.bodies[body].inertia)
-        force[:, at] = sign / inertia[body]
+        force[:, rate_index] = sign / inertia[body]
     where = f"cylinders.{axis}"
     lag = number(f"{where}.lag", cylinder.lag)
-    level = np.zeros((used.count, n))
+    level = np.zeros((all_values.count, n))
     level[:, flow] = number(f"{where}.speed", cylinder.speed) / lag
     matrix[:, flow, flow] = -1.0 / lag
     matrix[:, air] -= rate
     matrix[:, air, flow] += 1.0
-    frame = np.zeros((used.count, n))
+    frame = np.zeros((all_values.count, n))
     for body, weight in cylinder.frame.items():
         frame[:, states.index(body)] = number(f"{where}.frame.{body}", weight)
     piston_inertia = inertia[cylinder.pushes]
@@ -211,19 +213,19 @@ def _air_stiffness(
     machine: Machine, axis: str, number: Callable[[str, Quantity | None], FloatArray]
 ) -> FloatArray:
     """Return the (variants,) stiffness of the air, as given or from pressure, area and radius."""
-    cylinder, where = machine.cylinders[axis], f"cylinders.{axis}"
+    cylinder, path = machine.cylinders[axis], f"cylinders.{axis}"
     torque = cylinder.torque
     if torque is None:
-        return number(f"{where}.air_stiffness", cylinder.air_stiffness)
+        return number(f"{path}.air_stiffness", cylinder.air_stiffness)
     pistons: FloatArray | float = 1.0
     if torque.pistons is not None:
-        pistons = number(f"{where}.torque.pistons", torque.pistons)
-    lever = number(f"{where}.torque.area", torque.area) * number(
-        f"{where}.torque.radius", torque.radius
+        pistons = number(f"{path}.torque.pistons", torque.pistons)
+    area_radius = number(f"{path}.torque.area", torque.area) * number(
+        f"{path}.torque.radius", torque.radius
     )
-    absolute = number(f"{where}.torque.pressure", torque.pressure) + ATMOSPHERE_PA
-    stroke = number(f"{where}.stroke", cylinder.stroke)
-    return np.asarray(SPRING_OF_FORCE * absolute * lever * pistons / stroke)
+    pressure_pa = number(f"{path}.torque.pressure", torque.pressure) + ATMOSPHERE_PA
+    stroke = number(f"{path}.stroke", cylinder.stroke)
+    return np.asarray(SPRING_OF_FORCE * pressure_pa * area_radius * pistons / stroke)
 
 
 def frame_mode(machine: Machine, axis: str) -> tuple[float, float]:
@@ -261,12 +263,12 @@ class StepRinging:
     amplitude_m: complex
 
 
-def _alike(one: tuple[Machine, str], other: tuple[Machine, str]) -> bool:
+def _same_cylinder(one: tuple[Machine, str], other: tuple[Machine, str]) -> bool:
     return one[0] is other[0] and one[1] == other[1]
 
 
 # Cached, because every run of a cycle needs the ringing of the same nominal machine.
-_RECENT: Recent[tuple[Machine, str], StepRinging] = Recent(8, _alike)
+_RECENT: Recent[tuple[Machine, str], StepRinging] = Recent(8, _same_cylinder)
 
 
 def step_ringing(machine: Machine, axis: str) -> StepRinging:
@@ -287,25 +289,26 @@ def _step_ringing(machine: Machine, axis: str) -> StepRinging:
     plant = cylinder_equations(machine, axis)
     matrix = plant.sliding()[0]
     poles, modes = np.linalg.eig(matrix)
-    wanted = 2.0 * math.pi * frame_mode(machine, axis)[0]
+    frame_rad_s = 2.0 * math.pi * frame_mode(machine, axis)[0]
     # A state that does not depend on other states, such as the lag of a valve, does not affect the
     # accuracy of the other poles, so its rate is excluded from the norm.
-    fed = (matrix - np.diag(np.diag(matrix))).any(axis=1)
-    ringing = np.flatnonzero(poles.imag > DOUBLE * size_of(matrix[np.ix_(fed, fed)]))
+    is_coupled = (matrix - np.diag(np.diag(matrix))).any(axis=1)
+    ringing = np.flatnonzero(poles.imag > DOUBLE * size_of(matrix[np.ix_(is_coupled, is_coupled)]))
     if not len(ringing):
         raise MachineError(
-            f"cylinders.{axis}: the mode of its frame at {wanted / (2.0 * math.pi):.3g} Hz is lost "
+            f"cylinders.{axis}: the mode of its frame at {frame_rad_s / (2.0 * math.pi):.3g} Hz "
+            "is lost "
             "in rounding: rates of the cylinder are ten million times as fast",
             place=machine.place,
             remedy="Look for a mistyped number.",
         )
     # The air spring shifts the mode a little, so take the nearest pole.
-    index = int(ringing[np.argmin(np.abs(np.abs(poles[ringing]) - wanted))])
+    index = int(ringing[np.argmin(np.abs(np.abs(poles[ringing]) - frame_rad_s))])
     # x is a sum over modes; the amplitude of a mode after a step is (left vector . b) / pole. The
     # zero poles of a free stroke make the matrix defective, but the vectors of this simple pole are
     # still exact.
-    left_poles, left = np.linalg.eig(matrix.T)
-    match = left[:, int(np.argmin(np.abs(left_poles - poles[index])))]
+    left_poles, left_vectors = np.linalg.eig(matrix.T)
+    match = left_vectors[:, int(np.argmin(np.abs(left_poles - poles[index])))]
     share = (match @ plant.level[0]) / (match @ modes[:, index]) / poles[index]
     return StepRinging(
         complex(poles[index]), complex(2.0 * share * (plant.frame[0] @ modes[:, index]))
@@ -348,19 +351,19 @@ def short_of_torque(machine: Machine) -> list[str]:
     the speed divided by the lag. At this time the exhaust still has pressure, which reduces the
     available torque.
     """
-    found = []
+    warnings = []
     for name, cylinder in machine.cylinders.items():
         if cylinder.torque is None:
             continue
         inertia, friction = machine.bodies[cylinder.pushes].inertia.si, cylinder.friction
         needed = inertia * cylinder.speed.si / cylinder.lag.si
         needed += 0.0 if friction is None else friction.si
-        has = cylinder.torque.torque_n_m
-        if needed > has:
+        available = cylinder.torque.torque_n_m
+        if needed > available:
             speed = cylinder.pace(cylinder.speed.si, ".4g")
-            found.append(
+            warnings.append(
                 f"cylinders.{name}: {inertia:.4g} kg m^2 come to {speed} within the lag of "
                 f"{1e3 * cylinder.lag.si:.4g} ms by a torque of {needed:.4g} N m, and pressure, "
-                f"area and radius give {has:.4g} N m: the arm will be slower"
+                f"area and radius give {available:.4g} N m: the arm will be slower"
             )
-    return found
+    return warnings

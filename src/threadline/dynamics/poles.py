@@ -76,39 +76,47 @@ def stable_gains(numerator: FloatArray, denominator: FloatArray) -> tuple[tuple[
     numerator, denominator
         (n,) and (m,) coefficients of polynomials, highest power first.
     """
-    top, bottom = np.asarray(numerator), np.asarray(denominator)
-    even_top, odd_top = _on_axis(top)
-    even_bottom, odd_bottom = _on_axis(bottom)
+    numerator_coefficients, denominator_coefficients = (
+        np.asarray(numerator),
+        np.asarray(denominator),
+    )
+    even_top, odd_top = _even_and_odd(numerator_coefficients)
+    even_bottom, odd_bottom = _even_and_odd(denominator_coefficients)
     # A root crosses the imaginary axis where bottom(jw) / top(jw) is real; w^2 is then the root of
     # a polynomial.
     crossing = np.polysub(np.polymul(odd_bottom, even_top), np.polymul(even_bottom, odd_top))
     squares = np.roots(np.trim_zeros(crossing, "f")) if np.any(crossing) else np.empty(0)
     limits = [0.0]
-    real = [s.real for s in squares if s.real > 0 and abs(s.imag) < 1e-6 * abs(s)]
-    for omega in [0.0, *np.sqrt(real)]:
-        below = np.polyval(top, 1j * omega)
-        if below != 0:
-            gain = -(np.polyval(bottom, 1j * omega) / below).real
+    crossing_squares = [s.real for s in squares if s.real > 0 and abs(s.imag) < 1e-6 * abs(s)]
+    for omega in [0.0, *np.sqrt(crossing_squares)]:
+        numerator_value = np.polyval(numerator_coefficients, 1j * omega)
+        if numerator_value != 0:
+            gain = -(np.polyval(denominator_coefficients, 1j * omega) / numerator_value).real
             if gain > 0:
                 limits.append(float(gain))
     edges = [*sorted(limits), np.inf]
-    found: list[tuple[float, float]] = []
+    intervals: list[tuple[float, float]] = []
     for low, high in pairwise(edges):
         if high <= low:
             continue
         if not np.isfinite(high):
-            inside = 2.0 * max(low, 0.5)
+            trial_gain = 2.0 * max(low, 0.5)
         else:
-            inside = float(np.sqrt(low * high)) if low > 0 else 0.5 * high
-        if unstable_roots(np.polyadd(bottom, inside * top).tolist()) == 0:
-            if found and found[-1][1] == low:
-                found[-1] = (found[-1][0], high)
+            trial_gain = float(np.sqrt(low * high)) if low > 0 else 0.5 * high
+        if (
+            unstable_roots(
+                np.polyadd(denominator_coefficients, trial_gain * numerator_coefficients).tolist()
+            )
+            == 0
+        ):
+            if intervals and intervals[-1][1] == low:
+                intervals[-1] = (intervals[-1][0], high)
             else:
-                found.append((low, high))
-    return tuple(found)
+                intervals.append((low, high))
+    return tuple(intervals)
 
 
-def _on_axis(polynomial: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _even_and_odd(polynomial: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return P, Q in x = w^2 with ``polynomial(jw) = P(x) + jw Q(x)``, highest power first."""
     ascending = polynomial[::-1]
     even = ascending[0::2] * (-1.0) ** np.arange(len(ascending[0::2]))
@@ -118,7 +126,7 @@ def _on_axis(polynomial: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 _NODES = 32
 _NEWTON = 25
-_SAME = 1e-6
+_SAME_POLE = 1e-6
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -153,7 +161,7 @@ def closed_poles(loop: Loop, gain: float = 1.0, within_rad_s: float | None = Non
     plant = loop.measured()
     gains = [1.0] * len(loop.filters)
     gains[loop.index] = gain
-    parts = [_split(f, g) for f, g in zip(loop.filters, gains, strict=True)]
+    parts = [_partial_fractions(f, g) for f, g in zip(loop.filters, gains, strict=True)]
     if any(p.q1 for p in parts) and np.abs(plant.C @ plant.B).max() > 0:
         raise MachineError(
             f"axis {loop.axis}: its controller differentiates a plant of relative degree 1",
@@ -165,32 +173,32 @@ def closed_poles(loop: Loop, gain: float = 1.0, within_rad_s: float | None = Non
     longest = float(delays.max(initial=0.0))
     if within_rad_s is None:
         within_rad_s = 0.5 * _NODES / longest if longest > 0 else np.inf
-    found: list[complex] = []
+    poles: list[complex] = []
     for guess in guesses[np.abs(guesses) <= within_rad_s]:
         root = _newton(complex(guess), plant.A, plant.B, plant.C, parts, delays)
         if root is None or abs(root) > 1.5 * within_rad_s:
             continue
-        if all(abs(root - f) > _SAME * max(1.0, abs(root)) for f in found):
-            found.append(root)
-    for root in list(found):
+        if all(abs(root - f) > _SAME_POLE * max(1.0, abs(root)) for f in poles):
+            poles.append(root)
+    for root in list(poles):
         mirrored = root.conjugate()
-        if all(abs(mirrored - f) > _SAME * max(1.0, abs(root)) for f in found):
-            found.append(mirrored)
-    ordered = sorted(found, key=lambda s: (-round(s.real, 6), abs(s.imag), -s.imag))
-    return np.array(ordered, dtype=np.complex128)
+        if all(abs(mirrored - f) > _SAME_POLE * max(1.0, abs(root)) for f in poles):
+            poles.append(mirrored)
+    sorted_poles = sorted(poles, key=lambda s: (-round(s.real, 6), abs(s.imag), -s.imag))
+    return np.array(sorted_poles, dtype=np.complex128)
 
 
-def _split(digital: DigitalFilter, gain: float) -> _Parts:
-    top, bottom = gain * digital.continuous_numerator, digital.continuous_denominator
-    quotient, rest = np.polydiv(top, bottom)
+def _partial_fractions(digital: DigitalFilter, gain: float) -> _Parts:
+    numerator, denominator = gain * digital.continuous_numerator, digital.continuous_denominator
+    quotient, remainder = np.polydiv(numerator, denominator)
     q = np.concatenate([np.zeros(max(0, 2 - len(quotient))), quotient])
-    if len(bottom) == 1:
+    if len(denominator) == 1:
         return _Parts(q1=float(q[0]), q0=float(q[1]), r=0.0, p=0.0)
     return _Parts(
         q1=float(q[0]),
         q0=float(q[1]),
-        r=float(rest[-1] / bottom[0]),
-        p=float(bottom[1] / bottom[0]),
+        r=float(remainder[-1] / denominator[0]),
+        p=float(denominator[1] / denominator[0]),
     )
 
 
@@ -208,21 +216,21 @@ def _generator(
     generator = np.zeros((size, size))
     generator[:n, :n] = A
     for k, i in enumerate(with_state):
-        at = n + k
-        rows[i, at] = parts[i].r
-        generator[at, :n] = -C[i]
-        generator[at, at] = -parts[i].p
-    at = n + len(with_state)
+        row = n + k
+        rows[i, row] = parts[i].r
+        generator[row, :n] = -C[i]
+        generator[row, row] = -parts[i].p
+    row = n + len(with_state)
     for i in range(m):
         if delays[i] == 0.0:
             generator[:n] += np.outer(B[:, i], rows[i])
             continue
         scaled = D * (2.0 / delays[i])
-        inner = slice(at, at + _NODES)
+        inner = slice(row, row + _NODES)
         generator[inner, inner] = scaled[1:, 1:]
         generator[inner] += np.outer(scaled[1:, 0], rows[i])
-        generator[:n, at + _NODES - 1] += B[:, i]
-        at += _NODES
+        generator[:n, row + _NODES - 1] += B[:, i]
+        row += _NODES
     return generator
 
 
@@ -245,13 +253,13 @@ def _newton(
     eye = np.eye(len(A))
     # Start away from the poles of the controllers, where the equation is undefined.
     s *= 1.0 + 1e-7
-    start = s
+    first_guess = s
     for _ in range(_NEWTON):
-        lag = np.exp(-s * delays)
+        delay_factor = np.exp(-s * delays)
         K = np.array([p.q1 * s + p.q0 + (p.r / (s + p.p) if p.r else 0.0) for p in parts])
         slope = np.array([p.q1 - (p.r / (s + p.p) ** 2 if p.r else 0.0) for p in parts])
-        M = s * eye - A + (B * (lag * K)) @ C
-        M_slope = eye + (B * (lag * (slope - delays * K))) @ C
+        M = s * eye - A + (B * (delay_factor * K)) @ C
+        M_slope = eye + (B * (delay_factor * (slope - delays * K))) @ C
         try:
             step = np.trace(np.linalg.solve(M, M_slope))
         except np.linalg.LinAlgError:
@@ -263,7 +271,7 @@ def _newton(
         s = s - change
         if abs(change) <= 1e-12 * max(1.0, abs(s)):
             # Ignore a root far from this starting point; another starting point finds it.
-            return s if abs(s - start) < 0.3 * max(abs(start), 10.0) else None
+            return s if abs(s - first_guess) < 0.3 * max(abs(first_guess), 10.0) else None
     return None
 
 
@@ -299,13 +307,13 @@ def chain_of(plant: StateSpace) -> Chain:
     """
     A, b, row = plant.A, plant.B[:, 0], plant.C[0]
     rows = [row]
-    size = np.abs(row)
+    row_size = np.abs(row)
     for degree in range(1, len(A) + 1):
-        through = float(row @ b)
-        if abs(through) > _ZERO * float(size @ np.abs(b)):
+        input_gain = float(row @ b)
+        if abs(input_gain) > _ZERO * float(row_size @ np.abs(b)):
             rows.append(row @ A)
-            return Chain(degree=degree, rows=np.array(rows), gain=through)
-        row, size = row @ A, size @ np.abs(A)
+            return Chain(degree=degree, rows=np.array(rows), gain=input_gain)
+        row, row_size = row @ A, row_size @ np.abs(A)
         rows.append(row)
     raise MachineError(f"{plant.inputs[0]} does not move {plant.outputs[0]}")
 
@@ -317,7 +325,7 @@ def zeros_of(plant: StateSpace) -> ComplexArray:
     B)``. Its eigenvalues are the zeros of the plant, and r times 0.
     """
     chain = chain_of(plant)
-    inner = plant.A - np.outer(plant.B[:, 0], chain.rows[chain.degree]) / chain.gain
+    closed_chain = plant.A - np.outer(plant.B[:, 0], chain.rows[chain.degree]) / chain.gain
     # In the null space of the chain the matrix has only the zeros as eigenvalues; rounding would
     # scatter an r-fold eigenvalue 0.
     scaled = chain.rows[: chain.degree]
@@ -327,11 +335,11 @@ def zeros_of(plant: StateSpace) -> ComplexArray:
     basis = vectors[len(values) :].T / units[:, None]
     if not basis.shape[1]:
         return np.empty(0, dtype=np.complex128)
-    left = np.linalg.pinv(basis)
-    return np.asarray(np.linalg.eigvals(left @ inner @ basis), dtype=np.complex128)
+    basis_inverse = np.linalg.pinv(basis)
+    return np.asarray(np.linalg.eigvals(basis_inverse @ closed_chain @ basis), dtype=np.complex128)
 
 
-_GAINS = 160
+_GAIN_COUNT = 160
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -383,8 +391,8 @@ def root_locus(
     critical = sorted((c.gain_factor, c.omega_rad_s) for c in margins.phase_crossovers)
     if gains is None:
         highest = max(3.0 * critical[0][0] if critical else 10.0, 3.0)
-        gains = np.geomspace(1e-3, highest, _GAINS)
-    own = open_loop_poles(loop)
+        gains = np.geomspace(1e-3, highest, _GAIN_COUNT)
+    open_poles = open_loop_poles(loop)
     plant_zeros = zeros_of(loop.axis_plant())
     filter_zeros = np.roots(loop.filters[loop.index].continuous_numerator)
     if within_rad_s is None:
@@ -395,7 +403,7 @@ def root_locus(
         gains=np.asarray(gains),
         poles=tuple(closed_poles(loop, float(g), within_rad_s) for g in gains),
         now=closed_poles(loop, 1.0, within_rad_s),
-        open_poles=own,
+        open_poles=open_poles,
         open_zeros=np.concatenate([plant_zeros, filter_zeros]),
         critical=tuple(critical),
         within_rad_s=within_rad_s,

@@ -92,10 +92,10 @@ def prescribed(machine: Machine, values: Values | None = None) -> tuple[Prescrib
         If such a piece also has a motor with a control loop, or a nonlinear part: play, or friction
         of a body other than the drive's.
     """
-    used = Values.of(machine) if values is None else values
+    all_values = Values.of(machine) if values is None else values
     return tuple(
-        _without(machine, piece, used)
-        for piece in piecewise_linear(machine, used)
+        _with_prescribed_motors(machine, piece, all_values)
+        for piece in piecewise_linear(machine, all_values)
         if piece.group.sources
     )
 
@@ -105,7 +105,7 @@ def piece_of(machine: Machine, axis: str) -> Prescribed:
     return next(piece for piece in prescribed(machine) if axis in piece.axes)
 
 
-def _without(machine: Machine, piece: PiecewiseLinear, values: Values) -> Prescribed:
+def _with_prescribed_motors(machine: Machine, piece: PiecewiseLinear, values: Values) -> Prescribed:
     group, n = piece.group, len(piece.states)
     sources = {name: machine.position_sources[name] for name in group.sources}
     if group.drives:
@@ -116,14 +116,14 @@ def _without(machine: Machine, piece: PiecewiseLinear, values: Values) -> Prescr
             remedy="Use drives of one kind in each piece.",
         )
     bodies = [source.body for source in sources.values()]
-    full, tight = piece.base[0][:, :n].copy(), []
+    rates, belts = piece.base[0][:, :n].copy(), []
     for element in piece.elements:
         name = element.name.split(".")
         if name[0] == "links" and element.modes[0].name == "tight":
             law = element.modes[0].law[0]
             guard = element.modes[0].guards[0]
-            full += element.direction[0][:, None] * law[None, :n]
-            tight.append((element.name, law[:n], guard.low, guard.high))
+            rates += element.direction[0][:, None] * law[None, :n]
+            belts.append((element.name, law[:n], guard.low, guard.high))
         elif not (name[0] == "bodies" and name[1] in bodies):
             raise MachineError(
                 f"{element.name} is not linear, and drives.{group.sources[0]} moves its piece",
@@ -132,8 +132,8 @@ def _without(machine: Machine, piece: PiecewiseLinear, values: Values) -> Prescr
             )
     positions = [piece.states.index(body) for body in bodies]
     speeds = [piece.states.index(f"{body}'") for body in bodies]
-    left = [k for k in range(n) if k not in {*positions, *speeds}]
-    order = [*left, *positions, *speeds]
+    free_states = [k for k in range(n) if k not in {*positions, *speeds}]
+    order = [*free_states, *positions, *speeds]
     inertia = np.array(
         [_number(values, f"bodies.{b}.inertia", machine.bodies[b].inertia.si) for b in bodies]
     )
@@ -141,12 +141,12 @@ def _without(machine: Machine, piece: PiecewiseLinear, values: Values) -> Prescr
     return Prescribed(
         axes=group.axes,
         drives=group.sources,
-        states=tuple(piece.states[k] for k in left),
-        rates=full[np.ix_(left, order)],
+        states=tuple(piece.states[k] for k in free_states),
+        rates=rates[np.ix_(free_states, order)],
         loads=piece.load_rows[0][:, order],
         frames=piece.frame_rows[0][:, order],
         has_frame=piece.has_frame,
-        pulls=inertia[:, None] * full[np.ix_(speeds, order)],
+        pulls=inertia[:, None] * rates[np.ix_(speeds, order)],
         inertia=inertia,
         friction=np.array(
             [
@@ -156,7 +156,7 @@ def _without(machine: Machine, piece: PiecewiseLinear, values: Values) -> Prescr
         ),
         belts=tuple(
             Tight(name=name, row=row[order], low=_first(low), high=_first(high))
-            for name, row, low, high in tight
+            for name, row, low, high in belts
         ),
     )
 

@@ -15,7 +15,7 @@ from threadline.errors import MachineError
 from threadline.machine import Machine
 from threadline.machine.controllers import ProfileController
 
-_LEFT = 1e-3  # an inner state counts as decayed when it has fallen to this share
+_DECAYED_SHARE = 1e-3  # an inner state counts as decayed when it has fallen to this share
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -113,20 +113,20 @@ def timing_of(machine: Machine, axis: str, inverse: Inverse) -> Timing:
             place=machine.place,
             remedy="Raise its proportional gain relative to its differential gain.",
         )
-    tick = digital.period_s
-    step = float(machine.clock(controller.reference_clock or controller.clock).period_s)
-    held = 0.5 * step if controller.reference_clock else 0.0
-    early = float(loop.plant.delay_s[loop.index]) + 0.5 * tick
-    slow = -np.linalg.eigvals(inverse.Q).real.max() if len(inverse.Q) else np.inf
+    tick_s = digital.period_s
+    step_s = float(machine.clock(controller.reference_clock or controller.clock).period_s)
+    held_s = 0.5 * step_s if controller.reference_clock else 0.0
+    early_s = float(loop.plant.delay_s[loop.index]) + 0.5 * tick_s
+    slowest_decay = -np.linalg.eigvals(inverse.Q).real.max() if len(inverse.Q) else np.inf
     if len(zeros) and zeros.max() > 0.0:
-        slow = min(slow, -np.log(zeros.max()) / tick)
+        slowest_decay = min(slowest_decay, -np.log(zeros.max()) / tick_s)
     return Timing(
-        tick_s=tick,
-        step_s=step,
-        early_s=early,
-        held_s=held,
-        lead_s=float(np.ceil((early + held + 2 * tick) / step) * step),
-        settle_s=float(-np.log(_LEFT) / slow),
+        tick_s=tick_s,
+        step_s=step_s,
+        early_s=early_s,
+        held_s=held_s,
+        lead_s=float(np.ceil((early_s + held_s + 2 * tick_s) / step_s) * step_s),
+        settle_s=float(-np.log(_DECAYED_SHARE) / slowest_decay),
     )
 
 
@@ -199,8 +199,8 @@ class AxisPreview:
         from scipy.signal import lfilter
 
         sensed = self.inverse.outputs(time_s, now, self._sensed.feed(now), self._sensed.start_si)
-        last = time_s[-1] + self.ahead * self.timing.tick_s + self.timing.early_s
-        acts_s = last - self.timing.tick_s * np.arange(len(early) - 1, -1, -1.0)
+        last_acts_s = time_s[-1] + self.ahead * self.timing.tick_s + self.timing.early_s
+        acts_s = last_acts_s - self.timing.tick_s * np.arange(len(early) - 1, -1, -1.0)
         driven = self.inverse.outputs(
             acts_s, early, self._driven.feed(early), self._driven.start_si
         )
@@ -232,14 +232,14 @@ class AxisPreview:
         return sum(name.endswith(".i") for name in self.inverse.plant.states) == 1
 
     def _note(self, time_s: FloatArray, volts: FloatArray, current_a: FloatArray | None) -> None:
-        most, current, at_s = self._peaks
+        peak_volts, peak_current, at_s = self._peaks
         if len(volts):
-            most = max(most, float(np.abs(volts).max()))
+            peak_volts = max(peak_volts, float(np.abs(volts).max()))
         if current_a is not None and len(current_a):
             k = int(np.argmax(np.abs(current_a)))
-            if abs(current_a[k]) > current:
-                current, at_s = float(abs(current_a[k])), float(time_s[k])
-        self._peaks = (most, current, at_s)
+            if abs(current_a[k]) > peak_current:
+                peak_current, at_s = float(abs(current_a[k])), float(time_s[k])
+        self._peaks = (peak_volts, peak_current, at_s)
 
 
 class _Inner:
@@ -271,12 +271,12 @@ class _Inner:
             return np.zeros((len(ladder), 0))
         rows = np.concatenate([self._last, ladder])
         self._last = ladder[-1:]
-        away = rows[:, :-1].copy()
-        away[:, 0] -= self.start_si
-        push, slope = away @ self._R.T, rows[:, 1:] @ self._R.T
-        before = push[:-1] @ self._start[0].T + slope[:-1] @ self._start[1].T
-        after = push[1:] @ self._end[0].T + slope[1:] @ self._end[1].T
-        states = _recur(self._decay, before + after, self._state)
+        from_start = rows[:, :-1].copy()
+        from_start[:, 0] -= self.start_si
+        values, slope = from_start @ self._R.T, rows[:, 1:] @ self._R.T
+        start_push = values[:-1] @ self._start[0].T + slope[:-1] @ self._start[1].T
+        end_push = values[1:] @ self._end[0].T + slope[1:] @ self._end[1].T
+        states = _recur(self._decay, start_push + end_push, self._state)
         self._state = states[-1].copy()
         return np.asarray(states)
 
@@ -285,14 +285,14 @@ class _Inner:
 def _recur(decay, push, start):  # type: ignore[no-untyped-def]
     """Return the (k, n) states ``x[k] = decay x[k - 1] + push[k]``, ``x[-1] = start``."""
     count, size = push.shape
-    out = np.empty((count, size))
+    states = np.empty((count, size))
     x = start.copy()
     for k in range(count):
         for i in range(size):
             total = push[k, i]
             for j in range(size):
                 total += decay[i, j] * x[j]
-            out[k, i] = total
+            states[k, i] = total
         for i in range(size):
-            x[i] = out[k, i]
-    return out
+            x[i] = states[k, i]
+    return states

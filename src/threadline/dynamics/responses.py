@@ -74,9 +74,9 @@ def step_response(
     )
     reference = np.zeros((min(ticks, _STEP_RESPONSES_MOST_TICKS), len(loop.controllers)))
     reference[:, loop.index] = loop.counts_per_unit
-    row = closed.outputs.index(f"{loop.axis}.{output}")
-    value = np.ascontiguousarray(closed.respond(reference)[:, row])
-    final = float(closed.steady()[row, loop.index]) * loop.counts_per_unit
+    output_row = closed.outputs.index(f"{loop.axis}.{output}")
+    value = np.ascontiguousarray(closed.respond(reference)[:, output_row])
+    final = float(closed.steady()[output_row, loop.index]) * loop.counts_per_unit
     if final == 0.0:
         return None  # the figures are relative to the final value, which is 0
     time_s = np.asarray(np.arange(len(value)) * closed.period_s, dtype=np.float64)
@@ -92,34 +92,34 @@ def read_step(time_s: FloatArray, value: FloatArray, final: float) -> Step:
     peak = int(np.argmax(share))
     outside = np.nonzero(np.abs(share - 1.0) > _BAND)[0]
     if not len(outside):
-        settled = 0.0
+        settled_s = 0.0
     elif outside[-1] + 1 == len(share):
-        settled = float(time_s[-1])
+        settled_s = float(time_s[-1])
     else:
         k = int(outside[-1])
         edge = 1.0 + _BAND * np.sign(share[k] - 1.0)
-        settled = _between(time_s, share, k, float(edge))
+        settled_s = _crossing_s(time_s, share, k, float(edge))
     return Step(
         time_s=time_s,
         value=value,
         final=final,
-        rise_s=_first(time_s, share, 0.9) - _first(time_s, share, 0.1),
-        settling_s=settled,
+        rise_s=_first_reached_s(time_s, share, 0.9) - _first_reached_s(time_s, share, 0.1),
+        settling_s=settled_s,
         overshoot=max(0.0, float(share[peak]) - 1.0),
         peak_s=float(time_s[peak]),
         steady_state_error=1.0 - final,
     )
 
 
-def _first(time_s: FloatArray, share: FloatArray, level: float) -> float:
+def _first_reached_s(time_s: FloatArray, share: FloatArray, level: float) -> float:
     above = np.nonzero(share >= level)[0]
     if not len(above):
         return float(time_s[-1])
     k = int(above[0])
-    return float(time_s[0]) if k == 0 else _between(time_s, share, k - 1, level)
+    return float(time_s[0]) if k == 0 else _crossing_s(time_s, share, k - 1, level)
 
 
-def _between(time_s: FloatArray, share: FloatArray, k: int, level: float) -> float:
+def _crossing_s(time_s: FloatArray, share: FloatArray, k: int, level: float) -> float:
     rise = share[k + 1] - share[k]
     part = 0.0 if rise == 0 else (level - share[k]) / rise
     return float(time_s[k] + part * (time_s[k + 1] - time_s[k]))
@@ -186,13 +186,15 @@ def _filtered(values: FloatArray, taps: FloatArray) -> FloatArray:
     a short job.
     """
     size = 1 << (4 * len(taps) - 1).bit_length()
-    step = size - len(taps) + 1
-    parts = np.zeros((-(-len(values) // step), step))
+    part_length = size - len(taps) + 1
+    parts = np.zeros((-(-len(values) // part_length), part_length))
     parts.ravel()[: len(values)] = values
-    answers = np.fft.irfft(np.fft.rfft(parts, size) * np.fft.rfft(taps, size), size)
-    found = np.ascontiguousarray(answers[:, :step])
-    found[1:, : size - step] += answers[:-1, step:]  # overlap with the next part
-    return found.ravel()[: len(values)]
+    filtered_parts = np.fft.irfft(np.fft.rfft(parts, size) * np.fft.rfft(taps, size), size)
+    joined = np.ascontiguousarray(filtered_parts[:, :part_length])
+    joined[1:, : size - part_length] += filtered_parts[
+        :-1, part_length:
+    ]  # overlap with the next part
+    return joined.ravel()[: len(values)]
 
 
 _RECENT: Recent[Machine, dict[str, Answer]] = Recent(8, lambda a, b: a is b or a == b)
@@ -236,14 +238,14 @@ def speed_response(loop: Loop, omega_rad_s: FloatArray) -> tuple[FloatArray, Flo
 
     This is the continuous response of amplifier and plant, without sampling.
     """
-    own = loop.axis_plant()
+    plant = loop.axis_plant()
 
     def speed(omega: FloatArray) -> FloatArray:
-        return np.asarray(1j * omega * own.response(omega)[:, 0, 0])
+        return np.asarray(1j * omega * plant.response(omega)[:, 0, 0])
 
-    still = abs(speed(omega_rad_s[:1] * 1e-3)[0])
+    speed_at_rest = abs(speed(omega_rad_s[:1] * 1e-3)[0])
     response = speed(omega_rad_s)
     return (
-        np.asarray(20.0 * np.log10(np.abs(response) / still)),
+        np.asarray(20.0 * np.log10(np.abs(response) / speed_at_rest)),
         np.asarray(np.degrees(np.unwrap(np.angle(response)))),
     )

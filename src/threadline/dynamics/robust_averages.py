@@ -86,21 +86,23 @@ class WeightGrid:
 
 def _answer_steps(answers: Answers, machines: Sequence[CornerResponse], grid: WeightGrid) -> None:
     """Add the missing responses of ``machines`` to ``answers``."""
-    new = [one for one in machines if one not in answers]
-    if not new:
+    missing = [machine for machine in machines if machine not in answers]
+    if not missing:
         return
     samples = grid.samples
     omega = frequencies_rad_s(grid.grid_s, samples)
     spline = np.sinc(omega * grid.step_s / (2.0 * np.pi)) ** (grid.degree + 1)
-    late_s = grid.shift_s + samples // 2 * grid.grid_s
-    shape = spline[:, None] * np.exp(-1j * omega[:, None] * late_s)
+    delay_s = grid.shift_s + samples // 2 * grid.grid_s
+    weight_spectrum = spline[:, None] * np.exp(-1j * omega[:, None] * delay_s)
 
-    def steps(answer: NDArray[np.complex128]) -> FloatArray:
-        return np.asarray(np.cumsum(np.fft.irfft(answer[:, None] * shape, samples, axis=0), axis=0))
+    def speed_steps(answer: NDArray[np.complex128]) -> FloatArray:
+        return np.asarray(
+            np.cumsum(np.fft.irfft(answer[:, None] * weight_spectrum, samples, axis=0), axis=0)
+        )
 
-    for one in new:
-        current = None if one.current_s_a_m is None else steps(one.current_s_a_m)
-        answers[one] = steps(one.load), current
+    for machine in missing:
+        current = None if machine.current_s_a_m is None else speed_steps(machine.current_s_a_m)
+        answers[machine] = speed_steps(machine.load), current
 
 
 STILL, THERE, ACROSS = 0.0065, 0.953, 0.1
@@ -108,23 +110,25 @@ STILL, THERE, ACROSS = 0.0065, 0.953, 0.1
 smallest speed of every machine that counts as reached; largest speed of a load while another axis
 moves. Seams require 1 % and 95 % for the first two. A tenth of the speed across the path makes the
 speed along the path 0.5 % higher."""
-_SPARE = 0.012  # share of the speed that is added to THERE if it costs little
+_THERE_RESERVE = 0.012  # share of the speed that is added to THERE if it costs little
 _FIRST_ROWS = 2048  # every n-th instant is in the first program; violated instants are added
 _MOST_ROUNDS = 100
-_CLOSE = 1e-6  # largest violation at any instant, as a share of the step
-_RISES = 1e-9  # a smaller increase of the cost, as a share, does not count
-_NEAR = 0.01  # instants with more reserve, as a share of the step, leave the next program
+_MAX_VIOLATION = 1e-6  # largest violation at any instant, as a share of the step
+_LEAST_COST_RISE = 1e-9  # a smaller increase of the cost, as a share, does not count
+_KEPT_RESERVE = 0.01  # instants with more reserve, as a share of the step, leave the next program
 MEAN_S = 0.0021
 """Time over which a speed is measured, with a small reserve, s."""
-_SEEN = 16.0  # the load is checked for so many times the time of a change after it
-_LOOKED = 4.0  # the current is checked so many times the time of a change before and after it
+_LOAD_CHECK_TIMES = 16.0  # the load is checked for so many times the time of a change after it
+_CURRENT_CHECK_TIMES = (
+    4.0  # the current is checked so many times the time of a change before and after it
+)
 _ERROR, _SHARE, _LATE, _EXCESS = 0, 1, 2, 4
 """Indices of slacks: constant speed, current, reached speed, and all hard constraints (4). Index 3
 is the largest weight."""
 _LATE_COSTS = 0.1  # cost of a speed not yet reached, relative to the largest error
-_DRIVEN = 0.05  # cost of the share of the current, relative to the largest error
-_SPIKES = 1e-4  # cost of the largest weight, relative to the largest error
-_SIZE = 1e-5
+_CURRENT_COST = 0.05  # cost of the share of the current, relative to the largest error
+_LARGEST_WEIGHT_COST = 1e-4  # cost of the largest weight, relative to the largest error
+_WEIGHT_COST = 1e-5
 """Cost of the magnitude of a weight, relative to the largest error; it rises to twice this number
 for the last weight. It makes the optimum unique and independent of rounding if many sets of weights
 have the same error."""
@@ -132,11 +136,13 @@ _EXCESS_COSTS = 1000.0
 """Cost of the excess of hard constraints: an excess of ``_MARGIN`` costs as much as an error of a
 tenth of the speed, with which the weights would be useless."""
 _MARGIN = 1e-4  # allowed violation of a hard constraint, as a share of speed, room or current
-_LARGEST = 10.0  # bound on weights; actual weights are below 0.3
-_DEAREST = 1.0 + _DRIVEN + _LATE_COSTS * _SPARE + _EXCESS_COSTS * _MARGIN
+_MAX_WEIGHT = 10.0  # bound on weights; actual weights are below 0.3
+_MAX_COST = 1.0 + _CURRENT_COST + _LATE_COSTS * _THERE_RESERVE + _EXCESS_COSTS * _MARGIN
 """Cost above which a program is abandoned: the error is then as large as the speed, or the excess
 exceeds the margin. The cost of the weights is negligible."""
-_KEPT = 0.5 * _CLOSE  # a solution is rejected if it violates a row of its program by more
+_MAX_ROW_VIOLATION = (
+    0.5 * _MAX_VIOLATION
+)  # a solution is rejected if it violates a row of its program by more
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -272,14 +278,16 @@ def robust_weights(
     bands = [
         band
         for change in changes
-        for index, one in enumerate(axis.machines)
-        for band in _bands(axis, one, index == 0, grid.instants_s, change, answers[one])
+        for index, machine in enumerate(axis.machines)
+        for band in _bands(axis, machine, index == 0, grid.instants_s, change, answers[machine])
     ]
-    return _least(bands, np.asarray(grid.shift_s / grid.step_s), near, min(dearest, _DEAREST))
+    return _least_error_weights(
+        bands, np.asarray(grid.shift_s / grid.step_s), near, min(dearest, _MAX_COST)
+    )
 
 
-def _least(
-    bands: Sequence[_Band], shift: FloatArray, near: RobustWeights | None, dearest: float
+def _least_error_weights(
+    bands: Sequence[_Band], shift: FloatArray, start: RobustWeights | None, dearest: float
 ) -> RobustWeights | None:
     """Return the weights with first moment 0 over ``shift`` and the smallest error over all bands.
 
@@ -288,53 +296,70 @@ def _least(
     # Unknowns: positive parts of the weights, negative parts, then the slacks, including the
     # magnitude of the largest weight.
     count = len(shift)
-    size = _SIZE * (1.0 + np.arange(count) / count)
-    cost = np.concatenate([size, size, [1.0, _DRIVEN, _LATE_COSTS, _SPIKES * count, _EXCESS_COSTS]])
-    width, first = len(cost), 2 * count
-    sums = np.zeros((2, width))
-    sums[:, :first] = _both(np.vstack([np.ones(count), shift]))
-    spikes = np.zeros((count, width))
-    spikes[:, :first] = np.hstack([np.eye(count), np.eye(count)])
-    spikes[:, first + 3] = -1.0
-    bounds = [(0.0, _LARGEST)] * first
-    bounds += [(0.0, np.inf), (0.0, 1.0), (0.0, _SPARE), (0.0, np.inf), (0.0, np.inf)]
-    chosen = [np.arange(0, len(band.R), _FIRST_ROWS) for band in bands]
-    if near is not None:
-        chosen = [
-            np.union1d(at, np.flatnonzero(_peaks(_over(band, near.weights, near.slack), -_NEAR)))
-            for at, band in zip(chosen, bands, strict=True)
+    size = _WEIGHT_COST * (1.0 + np.arange(count) / count)
+    cost = np.concatenate(
+        [size, size, [1.0, _CURRENT_COST, _LATE_COSTS, _LARGEST_WEIGHT_COST * count, _EXCESS_COSTS]]
+    )
+    width, weight_columns = len(cost), 2 * count
+    moment_rows = np.zeros((2, width))
+    moment_rows[:, :weight_columns] = _signed_columns(np.vstack([np.ones(count), shift]))
+    largest_rows = np.zeros((count, width))
+    largest_rows[:, :weight_columns] = np.hstack([np.eye(count), np.eye(count)])
+    largest_rows[:, weight_columns + 3] = -1.0
+    bounds = [(0.0, _MAX_WEIGHT)] * weight_columns
+    bounds += [(0.0, np.inf), (0.0, 1.0), (0.0, _THERE_RESERVE), (0.0, np.inf), (0.0, np.inf)]
+    chosen_instants = [np.arange(0, len(band.R), _FIRST_ROWS) for band in bands]
+    if start is not None:
+        chosen_instants = [
+            np.union1d(
+                instants,
+                np.flatnonzero(
+                    _peaks(_violation(band, start.weights, start.slack), -_KEPT_RESERVE)
+                ),
+            )
+            for instants, band in zip(chosen_instants, bands, strict=True)
         ]
-    least = -np.inf
+    lower_bound = -np.inf
     for _ in range(_MOST_ROUNDS):
-        rows, limits = [spikes], [np.zeros(count)]
-        for band, at in zip(bands, chosen, strict=True):
-            for sign, bound in ((1.0, band.high[at]), (-1.0, -band.low[at])):
-                kept = np.isfinite(bound)
-                part = np.zeros((int(kept.sum()), width))
-                part[:, :first] = _both(sign * band.R[at][kept])
+        rows, limits = [largest_rows], [np.zeros(count)]
+        for band, instants in zip(bands, chosen_instants, strict=True):
+            for sign, bound in ((1.0, band.high[instants]), (-1.0, -band.low[instants])):
+                is_finite = np.isfinite(bound)
+                program_rows = np.zeros((int(is_finite.sum()), width))
+                program_rows[:, :weight_columns] = _signed_columns(
+                    sign * band.R[instants][is_finite]
+                )
                 for slack in band.slacks:
-                    part[:, first + slack] = -1.0
-                rows.append(part)
-                limits.append(bound[kept])
-        found = _solved(cost, np.vstack(rows), np.concatenate(limits), sums, bounds)
-        weights, slacks = found[:count] - found[count:first], found[first:]
-        reached = float(cost @ found)
-        if reached >= dearest:
+                    program_rows[:, weight_columns + slack] = -1.0
+                rows.append(program_rows)
+                limits.append(bound[is_finite])
+        unknowns = _solved(cost, np.vstack(rows), np.concatenate(limits), moment_rows, bounds)
+        weights, slacks = (
+            unknowns[:count] - unknowns[count:weight_columns],
+            unknowns[weight_columns:],
+        )
+        total_cost = float(cost @ unknowns)
+        if total_cost >= dearest:
             return None  # more instants can only increase the cost
-        over = [_over(band, weights, slacks) for band in bands]
-        peaks = [np.flatnonzero(_peaks(one)) for one in over]
-        if not any(len(new) for new in peaks):
+        violations = [_violation(band, weights, slacks) for band in bands]
+        peaks = [np.flatnonzero(_peaks(violation)) for violation in violations]
+        if not any(len(peak_instants) for peak_instants in peaks):
             if slacks[_EXCESS] > _MARGIN:
                 return None
             return RobustWeights(
-                weights=weights, error=float(slacks[_ERROR]), cost=reached, slack=slacks
+                weights=weights, error=float(slacks[_ERROR]), cost=total_cost, slack=slacks
             )
         # Instants are dropped only while the cost rises, so that no program is repeated.
-        rises = reached > least + _RISES
-        least = max(reached, least)
-        chosen = [
-            np.union1d(at[one[at] > -_NEAR] if rises else at, new)
-            for at, one, new in zip(chosen, over, peaks, strict=True)
+        cost_rises = total_cost > lower_bound + _LEAST_COST_RISE
+        lower_bound = max(total_cost, lower_bound)
+        chosen_instants = [
+            np.union1d(
+                instants[violation[instants] > -_KEPT_RESERVE] if cost_rises else instants,
+                peak_instants,
+            )
+            for instants, violation, peak_instants in zip(
+                chosen_instants, violations, peaks, strict=True
+            )
         ]
     raise PlanError(
         f"averages for machines within their tolerances: no convergence in {_MOST_ROUNDS} linear "
@@ -347,7 +372,7 @@ def _solved(
     cost: FloatArray,
     rows: FloatArray,
     limits: FloatArray,
-    sums: FloatArray,
+    moment_rows: FloatArray,
     bounds: Sequence[tuple[float, float]],
 ) -> FloatArray:
     """Return the optimal unknowns, after checking all rows.
@@ -357,43 +382,47 @@ def _solved(
     from scipy.optimize import linprog
 
     for method in ("highs-ds", "highs-ipm"):
-        how = QUICK if method == "highs-ds" else None
-        found = linprog(cost, rows, limits, sums, [1.0, 0.0], bounds, method=method, options=how)
-        if found.x is not None and found.status == 0:
-            unknowns: FloatArray = np.asarray(found.x)
-            off = max(float((rows @ unknowns - limits).max()), abs(float(sums[0] @ unknowns) - 1.0))
-            if max(off, abs(float(sums[1] @ unknowns))) <= _KEPT:
+        options = QUICK if method == "highs-ds" else None
+        result = linprog(
+            cost, rows, limits, moment_rows, [1.0, 0.0], bounds, method=method, options=options
+        )
+        if result.x is not None and result.status == 0:
+            unknowns: FloatArray = np.asarray(result.x)
+            violation = max(
+                float((rows @ unknowns - limits).max()), abs(float(moment_rows[0] @ unknowns) - 1.0)
+            )
+            if max(violation, abs(float(moment_rows[1] @ unknowns))) <= _MAX_ROW_VIOLATION:
                 return unknowns
     raise PlanError(
         "averages for machines within their tolerances: the solver failed on a feasible "
-        f"linear program ({found.message})",
+        f"linear program ({result.message})",
         remedy="Give another --smoothing.",
     )
 
 
-def _both(of_weights: FloatArray) -> FloatArray:
+def _signed_columns(of_weights: FloatArray) -> FloatArray:
     """Return the columns of the positive and of the negative parts of the weights."""
     return np.hstack([of_weights, -of_weights])
 
 
-def _over(band: _Band, weights: FloatArray, slack: FloatArray) -> FloatArray:
+def _violation(band: _Band, weights: FloatArray, slack: FloatArray) -> FloatArray:
     """Return the violation of a band at each instant, negative inside the band."""
-    value = band.R @ weights
+    result = band.R @ weights
     allowed = float(slack[list(band.slacks)].sum())
-    return np.maximum(value - band.high, band.low - value) - allowed
+    return np.maximum(result - band.high, band.low - result) - allowed
 
 
-def _peaks(over: FloatArray, above: float = _CLOSE) -> NDArray[np.bool_]:
-    """Return a mask of the local maxima of a band's violation that exceed ``above``."""
-    before, after = np.append(-np.inf, over[:-1]), np.append(over[1:], -np.inf)
-    return np.asarray((over > above) & (over >= before) & (over >= after))
+def _peaks(violation: FloatArray, limit: float = _MAX_VIOLATION) -> NDArray[np.bool_]:
+    """Return a mask of the local maxima of a band's violation that exceed ``limit``."""
+    before, after = np.append(-np.inf, violation[:-1]), np.append(violation[1:], -np.inf)
+    return np.asarray((violation > limit) & (violation >= before) & (violation >= after))
 
 
 def _bands(
     axis: StepOfSpeed,
-    one: CornerResponse,
+    machine: CornerResponse,
     planned: bool,
-    t: FloatArray,
+    instants_s: FloatArray,
     change: ChangeOfSpeed,
     answer: tuple[FloatArray, FloatArray | None],
 ) -> list[_Band]:
@@ -401,49 +430,59 @@ def _bands(
     S, current = answer
     if change.stop:
         # In reversed time a stop is a start. The weights have the sum 1.
-        last = len(t) - 1  # the mirror image of instant 0 would lie one instant outside
+        last = len(instants_s) - 1  # the mirror image of instant 0 would lie one instant outside
         S = 1.0 - S[np.concatenate([[last], np.arange(last, 0, -1)])]
-    least, most = change.share
+    low_share, high_share = change.share
     # A speed is measured as a mean over ``MEAN_S``, so it must last for this time.
-    due = change.within_s - change.early_s
-    there = np.flatnonzero((t >= due - MEAN_S) & (t <= due))
-    even = np.flatnonzero((t >= change.even_s) & (t <= _SEEN * change.within_s))
-    asked = np.ones(len(even))
-    seen = S[even]
+    due_s = change.within_s - change.early_s
+    reached_index = np.flatnonzero((instants_s >= due_s - MEAN_S) & (instants_s <= due_s))
+    even_index = np.flatnonzero(
+        (instants_s >= change.even_s) & (instants_s <= _LOAD_CHECK_TIMES * change.within_s)
+    )
+    even_high = np.ones(len(even_index))
+    even_response = S[even_index]
     if change.mean_s:
         # Means begin one sample after each instant; means beyond the samples are ignored.
-        lasts = max(round(change.mean_s / (t[1] - t[0])), 1)
-        until = np.minimum(even + lasts, len(t) - 1)
-        run = np.cumsum(S, axis=0)
-        seen = (run[until] - run[even]) / (until - even)[:, None]
+        mean_samples = max(round(change.mean_s / (instants_s[1] - instants_s[0])), 1)
+        mean_end = np.minimum(even_index + mean_samples, len(instants_s) - 1)
+        summed = np.cumsum(S, axis=0)
+        even_response = (summed[mean_end] - summed[even_index]) / (mean_end - even_index)[:, None]
     bands: list[_Band] = []
     if not change.mean_s:
         bands.append(
-            _Band(S[there] * least, *_at_least(THERE + _SPARE, len(there)), (_LATE, _EXCESS))
+            _Band(
+                S[reached_index] * low_share,
+                *_at_least(THERE + _THERE_RESERVE, len(reached_index)),
+                (_LATE, _EXCESS),
+            )
         )
     bands += [
-        _Band(seen * least, *_at_least(1.0, len(even)), (_ERROR,)),
-        _Band(seen * most, -np.inf * asked, asked, (_ERROR,)),
+        _Band(even_response * low_share, *_at_least(1.0, len(even_index)), (_ERROR,)),
+        _Band(even_response * high_share, -np.inf * even_high, even_high, (_ERROR,)),
     ]
     if planned and not change.mean_s:
-        still = np.flatnonzero((t >= -change.still_s) & (t <= -change.early_s))
-        bands.append(_Band(S[still], *_within(STILL, len(still))))
+        rest_index = np.flatnonzero(
+            (instants_s >= -change.still_s) & (instants_s <= -change.early_s)
+        )
+        bands.append(_Band(S[rest_index], *_within(STILL, len(rest_index))))
     if planned and np.isfinite(change.swing):
-        before = np.flatnonzero(t <= -change.early_s)
-        bands.append(_Band(S[before], *_within(change.swing, len(before))))
+        before_start = np.flatnonzero(instants_s <= -change.early_s)
+        bands.append(_Band(S[before_start], *_within(change.swing, len(before_start))))
     # While another axis moves at constant speed, motion across its path adds to the load's speed.
-    across = S[t <= -(change.aside_s + change.within_s)]
-    bands.append(_Band(across, *_within(ACROSS, len(across))))
-    way = np.cumsum(S[t <= -change.aside_s], axis=0) * ((t[1] - t[0]) * axis.speed / axis.room)
-    bands.append(_Band(way, *_within(1.0, len(way))))
+    across_response = S[instants_s <= -(change.aside_s + change.within_s)]
+    bands.append(_Band(across_response, *_within(ACROSS, len(across_response))))
+    moved_share = np.cumsum(S[instants_s <= -change.aside_s], axis=0) * (
+        (instants_s[1] - instants_s[0]) * axis.speed / axis.room
+    )
+    bands.append(_Band(moved_share, *_within(1.0, len(moved_share))))
     limited = np.isfinite(axis.current_limit_a) and axis.speed > 0.0
-    if one.current_s_a_m is not None and current is not None and limited:
+    if machine.current_s_a_m is not None and current is not None and limited:
         # Shares of the limit, so that all rows have similar magnitudes.
-        near = np.abs(t) <= _LOOKED * change.within_s
-        share = current[near] * (axis.speed / axis.current_limit_a)
+        near_change = np.abs(instants_s) <= _CURRENT_CHECK_TIMES * change.within_s
+        share = current[near_change] * (axis.speed / axis.current_limit_a)
         # A stop removes the current of the motion, which already uses part of the limit.
-        cruise = float(one.current_s_a_m[0].real) * axis.speed if change.stop else 0.0
-        level = np.full(int(near.sum()), cruise / axis.current_limit_a)
+        cruise = float(machine.current_s_a_m[0].real) * axis.speed if change.stop else 0.0
+        level = np.full(int(near_change.sum()), cruise / axis.current_limit_a)
         bands.append(_Band(share, level, level, (_SHARE, _EXCESS)))
     return bands
 

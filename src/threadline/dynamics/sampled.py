@@ -69,16 +69,16 @@ class StateSpace(Locked):
             object.__setattr__(self, name, read_only(getattr(self, name), name, ndim=2))
         object.__setattr__(self, "delay_s", read_only(self.delay_s, "delay_s", ndim=1))
         n, m, p = len(self.states), len(self.inputs), len(self.outputs)
-        for name, wanted in (
+        for name, expected in (
             ("A", (n, n)),
             ("B", (n, m)),
             ("C", (p, n)),
             ("D", (p, m)),
             ("delay_s", (m,)),
         ):
-            found = getattr(self, name).shape
-            if found != wanted:
-                raise ValueError(f"{name} has shape {found}, expected {wanted}")
+            shape = getattr(self, name).shape
+            if shape != expected:
+                raise ValueError(f"{name} has shape {shape}, expected {expected}")
         if (self.delay_s < 0).any():
             raise ValueError(f"delay_s must not be negative, got {self.delay_s.tolist()}")
 
@@ -117,15 +117,15 @@ class StateSpace(Locked):
         """
         s = 1j * np.asarray(omega_rad_s, dtype=np.float64)
         resolvent = s[:, None, None] * np.eye(len(self.A)) - self.A
-        inner = np.linalg.solve(resolvent, np.broadcast_to(self.B, (len(s), *self.B.shape)))
+        states = np.linalg.solve(resolvent, np.broadcast_to(self.B, (len(s), *self.B.shape)))
         delay = np.exp(-s[:, None] * self.delay_s)
-        return np.asarray((self.C @ inner + self.D) * delay[:, None, :], dtype=np.complex128)
+        return np.asarray((self.C @ states + self.D) * delay[:, None, :], dtype=np.complex128)
 
 
-def _index(name: str, among: tuple[str, ...], what: str) -> int:
-    if name not in among:
-        raise OptionError(f"no {what} {name!r}", remedy=f"There are: {', '.join(among)}.")
-    return among.index(name)
+def _index(name: str, names: tuple[str, ...], kind: str) -> int:
+    if name not in names:
+        raise OptionError(f"no {kind} {name!r}", remedy=f"There are: {', '.join(names)}.")
+    return names.index(name)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -158,15 +158,15 @@ class DigitalFilter(Locked):
 
     def sampled_response(self, omega_rad_s: FloatArray) -> NDArray[np.complex128]:
         """Return the (k,) response of the difference equation at ``z = exp(i w T)``, V/count."""
-        back = np.exp(-1j * np.asarray(omega_rad_s) * self.period_s)
-        powers = np.stack([np.ones_like(back), back, back**2])
+        delay = np.exp(-1j * np.asarray(omega_rad_s) * self.period_s)
+        powers = np.stack([np.ones_like(delay), delay, delay**2])
         return np.asarray((self.numerator @ powers) / (self.denominator @ powers))
 
     def continuous_response(self, omega_rad_s: FloatArray) -> NDArray[np.complex128]:
         """Return the (k,) response of the continuous form at ``s = i w``, V/count."""
         s = 1j * np.asarray(omega_rad_s)
-        top = np.polyval(self.continuous_numerator, s)
-        return np.asarray(top / np.polyval(self.continuous_denominator, s))
+        numerator = np.polyval(self.continuous_numerator, s)
+        return np.asarray(numerator / np.polyval(self.continuous_denominator, s))
 
 
 def difference_equation(
@@ -227,34 +227,34 @@ def digital_filter(machine: Machine, name: str, values: Values | None = None) ->
 
     ``values`` may replace numbers of the machine; the first variant is used.
     """
-    used = Values.of(machine) if values is None else values
+    all_values = Values.of(machine) if values is None else values
     controller = machine.controllers[name]
-    b, a = difference_equation(machine, name, used)
+    b, a = difference_equation(machine, name, all_values)
     (b0, b1, b2), (a1, _) = b[0], a[0]
-    bits = np.ravel(used.at(f"controllers.{name}.dac.bits", controller.dac.bits))[0]
-    swing = np.ravel(used.at(f"controllers.{name}.dac.range", controller.dac.range))[0]
-    volts = 2.0 * swing / 2.0**bits
-    period = float(machine.clock(controller.clock).period_s)
+    bits = np.ravel(all_values.at(f"controllers.{name}.dac.bits", controller.dac.bits))[0]
+    range_v = np.ravel(all_values.at(f"controllers.{name}.dac.range", controller.dac.range))[0]
+    volt_per_level = 2.0 * range_v / 2.0**bits
+    period_s = float(machine.clock(controller.clock).period_s)
     if isinstance(controller, LeadFilter):
         # s -> z by Tustin: b0 (z - A)/(z + B).
-        top = [b0 - b1, (b0 + b1) * 2.0 / period]
-        bottom = [1.0 - a1, (1.0 + a1) * 2.0 / period]
+        numerator = [b0 - b1, (b0 + b1) * 2.0 / period_s]
+        denominator = [1.0 - a1, (1.0 + a1) * 2.0 / period_s]
     elif a1 == 0.0:
         # b0 e + b1 e' = (b0 + b1) e - b1 (e - e').
-        top, bottom = [-b1 * period, b0 + b1], [1.0]
+        numerator, denominator = [-b1 * period_s, b0 + b1], [1.0]
     else:
         # Integrating: u - u' = ki e + kp (e - e') + kd (e - 2 e' + e'').
-        top = [b2 * period, -(b1 + 2.0 * b2), (b0 + b1 + b2) / period]
-        bottom = [1.0, 0.0]
+        numerator = [b2 * period_s, -(b1 + 2.0 * b2), (b0 + b1 + b2) / period_s]
+        denominator = [1.0, 0.0]
     return DigitalFilter(
-        numerator=volts * b[0],
+        numerator=volt_per_level * b[0],
         denominator=np.array([1.0, *a[0]]),
-        continuous_numerator=np.trim_zeros(volts * np.array(top), "f")
-        if np.any(top)
+        continuous_numerator=np.trim_zeros(volt_per_level * np.array(numerator), "f")
+        if np.any(numerator)
         else np.zeros(1),
-        continuous_denominator=np.array(bottom),
-        period_s=period,
-        volt_per_level=float(volts),
+        continuous_denominator=np.array(denominator),
+        period_s=period_s,
+        volt_per_level=float(volt_per_level),
     )
 
 
@@ -291,12 +291,12 @@ class SampledPlant:
     def response(self, omega_rad_s: FloatArray) -> NDArray[np.complex128]:
         """Return the (k, outputs, inputs) frequency response at ``z = exp(i w T)``."""
         z = np.exp(1j * np.asarray(omega_rad_s, dtype=np.float64) * self.period_s)
-        late = z[:, None] ** (-np.array(self.ticks, dtype=np.float64))
-        drive = self.newer * late[:, None, :] + self.older * (late / z[:, None])[:, None, :]
-        inner = np.linalg.solve(
-            z[:, None, None] * np.eye(len(self.transition)) - self.transition, drive
+        delay = z[:, None] ** (-np.array(self.ticks, dtype=np.float64))
+        input_rows = self.newer * delay[:, None, :] + self.older * (delay / z[:, None])[:, None, :]
+        states = np.linalg.solve(
+            z[:, None, None] * np.eye(len(self.transition)) - self.transition, input_rows
         )
-        return np.asarray(self.C @ inner, dtype=np.complex128)
+        return np.asarray(self.C @ states, dtype=np.complex128)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -325,12 +325,12 @@ class ClosedLoop:
 
     def respond(self, reference: FloatArray) -> FloatArray:
         """Return the (k, outputs) response to (k, inputs) references in counts, from rest."""
-        given = np.asarray(reference, dtype=np.float64)
-        states = np.zeros((len(given) + 1, len(self.A)))
+        counts = np.asarray(reference, dtype=np.float64)
+        states = np.zeros((len(counts) + 1, len(self.A)))
         # The product with B is computed for all ticks at once.
-        for k, push in enumerate(given @ self.B.T):
-            states[k + 1] = self.A @ states[k] + push
-        return np.asarray(states[:-1] @ self.C.T + given @ self.D.T)
+        for k, input_step in enumerate(counts @ self.B.T):
+            states[k + 1] = self.A @ states[k] + input_step
+        return np.asarray(states[:-1] @ self.C.T + counts @ self.D.T)
 
     def steady(self) -> FloatArray:
         """Return the (outputs, inputs) steady state after unit steps of the references."""
@@ -351,12 +351,12 @@ def sample(plant: StateSpace, period_s: float) -> SampledPlant:
     n, inputs = plant.B.shape
     newer, older, ticks = np.zeros((n, inputs)), np.zeros((n, inputs)), []
     for i, delay in enumerate(plant.delay_s):
-        whole = int(np.floor(delay / period_s + _ROUNDING))
-        part = max(0.0, float(delay) - whole * period_s)
-        _, first = _advance(plant.A, plant.B[:, i], part)
-        rest, second = _advance(plant.A, plant.B[:, i], period_s - part)
-        older[:, i], newer[:, i] = rest @ first, second
-        ticks.append(whole)
+        whole_ticks = int(np.floor(delay / period_s + _ROUNDING))
+        rest_s = max(0.0, float(delay) - whole_ticks * period_s)
+        _, older_part = _advance(plant.A, plant.B[:, i], rest_s)
+        rest_transition, newer_part = _advance(plant.A, plant.B[:, i], period_s - rest_s)
+        older[:, i], newer[:, i] = rest_transition @ older_part, newer_part
+        ticks.append(whole_ticks)
     transition, _ = _advance(plant.A, plant.B[:, 0], period_s)
     return SampledPlant(
         transition=transition,
@@ -390,57 +390,57 @@ def close_loop(
     MachineError
         If the dead times have too many ticks: each tick is a state.
     """
-    period = filters[0].period_s
-    sampled = sample(plant, period)
+    period_s = filters[0].period_s
+    sampled = sample(plant, period_s)
     m, n = len(filters), len(plant.A)
     factors = (1.0,) * m if gains is None else gains
-    read = np.array([plant.C[plant.outputs.index(s)] for s in sensors])
-    lines = [t + 1 for t in sampled.ticks]
-    if sum(lines) > _MOST_TICKS:
+    reading_rows = np.array([plant.C[plant.outputs.index(s)] for s in sensors])
+    line_lengths = [t + 1 for t in sampled.ticks]
+    if sum(line_lengths) > _MOST_TICKS:
         raise MachineError(
             f"{', '.join(f'controllers.{name}' for name in names)}: {sum(sampled.ticks):.6g} ticks "
-            f"of {period:.4g} s fit into the dead time, but the analysis of a loop allows up to "
+            f"of {period_s:.4g} s fit into the dead time, but the analysis of a loop allows up to "
             f"{_MOST_TICKS}",
             remedy="Give the controller a longer clock, or its drive a shorter delay.",
         )
-    starts = n + np.concatenate(([0], np.cumsum(lines)[:-1])).astype(int)
-    memory = n + sum(lines)
+    starts = n + np.concatenate(([0], np.cumsum(line_lengths)[:-1])).astype(int)
+    memory = n + sum(line_lengths)
     size = memory + 2 * m
     A, B = np.zeros((size, size)), np.zeros((size, m))
-    outputs, through = [], []
+    outputs, feedthroughs = [], []
     A[:n, :n] = sampled.transition
     for i, digital in enumerate(filters):
         b, a = factors[i] * digital.numerator, digital.denominator
         first, second = memory + 2 * i, memory + 2 * i + 1
         error, error_in = np.zeros(size), np.zeros(m)
-        error[:n], error_in[i] = -read[i], 1.0
+        error[:n], error_in[i] = -reading_rows[i], 1.0
         level, level_in = b[0] * error, b[0] * error_in
         level[first] += 1.0
         # Transposed direct form: s1 = b1 e - a1 u + s2, s2 = b2 e - a2 u.
         A[first], B[first] = b[1] * error - a[1] * level, b[1] * error_in - a[1] * level_in
         A[first, second] += 1.0
         A[second], B[second] = b[2] * error - a[2] * level, b[2] * error_in - a[2] * level_in
-        line, ticks = int(starts[i]), sampled.ticks[i]
-        A[line], B[line] = level, level_in
-        for j in range(1, lines[i]):
-            A[line + j, line + j - 1] = 1.0
+        line_start, ticks = int(starts[i]), sampled.ticks[i]
+        A[line_start], B[line_start] = level, level_in
+        for j in range(1, line_lengths[i]):
+            A[line_start + j, line_start + j - 1] = 1.0
         if ticks == 0:
             A[:n] += np.outer(sampled.newer[:, i], level)
             B[:n] += np.outer(sampled.newer[:, i], level_in)
         else:
-            A[:n, line + ticks - 1] += sampled.newer[:, i]
-        A[:n, line + ticks] += sampled.older[:, i]
+            A[:n, line_start + ticks - 1] += sampled.newer[:, i]
+        A[:n, line_start + ticks] += sampled.older[:, i]
         outputs.append(level)
-        through.append(level_in)
+        feedthroughs.append(level_in)
     rows = np.zeros((len(plant.C), size))
     rows[:, :n] = plant.C
     return ClosedLoop(
         A=A,
         B=B,
         C=np.vstack([rows, outputs]),
-        D=np.vstack([np.zeros((len(plant.C), m)), through]),
+        D=np.vstack([np.zeros((len(plant.C), m)), feedthroughs]),
         outputs=(*plant.outputs, *(f"controllers.{name}" for name in names)),
-        period_s=period,
+        period_s=period_s,
     )
 
 
@@ -449,5 +449,5 @@ def _advance(A: FloatArray, b: FloatArray, time_s: float) -> tuple[FloatArray, F
     n = len(A)
     block = np.zeros((n + 1, n + 1))
     block[:n, :n], block[:n, n] = A, b
-    whole = expm(block * time_s)
-    return whole[:n, :n], whole[:n, n]
+    exponential = expm(block * time_s)
+    return exponential[:n, :n], exponential[:n, n]

@@ -38,11 +38,13 @@ STATES = 10
 R, J, TORQUE, STICTION, FRICTION, K, C, MASS, KA, CA, PRELOAD, TRAVEL, RELEASE = range(13)
 """Indices in the numbers of a spool, SI; ``STICTION`` is a multiple of the torque."""
 NUMBERS = 13
-_PER_RATE = 0.2  # largest step times fastest rate: gives an error of 3e-6 of the fastest motion
+_MAX_STEP_RATE = (
+    0.2  # largest step times fastest rate: gives an error of 3e-6 of the fastest motion
+)
 _MOST_STEPS = 4000  # largest number of steps in a tick
 _MOST_CHANGES = 64  # largest number of mode changes in a step
-_TURNS_M = 1e-3  # length of fibre over which the friction in the guides reverses
-_FINE = 1e-12  # a change is located within this share of a step
+_REVERSAL_M = 1e-3  # length of fibre over which the friction in the guides reverses
+_LOCATED_SHARE = 1e-12  # a change is located within this share of a step
 
 
 def spool_numbers(machine: Machine, values: Values) -> FloatArray:
@@ -56,7 +58,7 @@ def spool_numbers(machine: Machine, values: Values) -> FloatArray:
     spool = machine.spool
     if spool is None:
         raise ValueError(f"{machine.name} has no spool")
-    found, arm = np.empty((values.count, NUMBERS)), spool.arm
+    numbers, arm = np.empty((values.count, NUMBERS)), spool.arm
     for column, path, quantity in (
         (R, "radius", spool.radius),
         (J, "inertia", spool.inertia),
@@ -72,12 +74,12 @@ def spool_numbers(machine: Machine, values: Values) -> FloatArray:
         (TRAVEL, "arm.travel", arm.travel),
         (RELEASE, "arm.release", arm.release),
     ):
-        found[:, column] = values.at(f"spool.{path}", quantity)
+        numbers[:, column] = values.at(f"spool.{path}", quantity)
     if spool.stiction is None:
-        found[:, STICTION] = 1.0
+        numbers[:, STICTION] = 1.0
     else:
-        found[:, STICTION] = np.maximum(found[:, STICTION] / found[:, TORQUE], 1.0)
-    return found
+        numbers[:, STICTION] = np.maximum(numbers[:, STICTION] / numbers[:, TORQUE], 1.0)
+    return numbers
 
 
 def steps_in(machine: Machine, numbers: FloatArray, tick_s: float) -> IntArray:
@@ -88,11 +90,11 @@ def steps_in(machine: Machine, numbers: FloatArray, tick_s: float) -> IntArray:
     MachineError
         If a spool needs more than 4000 steps.
     """
-    soft = 4.0 / numbers[:, MASS] + numbers[:, R] ** 2 / numbers[:, J]
-    own = numbers[:, KA] / numbers[:, MASS]
-    rate = np.sqrt(numbers[:, K] * soft + own)
-    rate = np.maximum(rate, numbers[:, C] * soft + numbers[:, CA] / numbers[:, MASS])
-    count = np.ceil(rate * tick_s / _PER_RATE)
+    compliance = 4.0 / numbers[:, MASS] + numbers[:, R] ** 2 / numbers[:, J]
+    arm_rate2 = numbers[:, KA] / numbers[:, MASS]
+    rate = np.sqrt(numbers[:, K] * compliance + arm_rate2)
+    rate = np.maximum(rate, numbers[:, C] * compliance + numbers[:, CA] / numbers[:, MASS])
+    count = np.ceil(rate * tick_s / _MAX_STEP_RATE)
     if count.max() > _MOST_STEPS:
         raise MachineError(
             f"spool: its fibre and arm respond at {rate.max():.4g} 1/s, too fast for ticks of "
@@ -105,9 +107,9 @@ def steps_in(machine: Machine, numbers: FloatArray, tick_s: float) -> IntArray:
 
 def slack(runs: int) -> FloatArray:
     """Return (runs, 10) states: arm at its lower stop, spool held, fibre slack without a gap."""
-    found = np.zeros((runs, STATES))
-    found[:, STUCK], found[:, STOP] = 1.0, -1.0
-    return found
+    states = np.zeros((runs, STATES))
+    states[:, STUCK], states[:, STOP] = 1.0, -1.0
+    return states
 
 
 def drawn(numbers: FloatArray) -> FloatArray:
@@ -121,15 +123,15 @@ def drawn(numbers: FloatArray) -> FloatArray:
         (runs, 13) numbers of the spools.
     """
     n = numbers.T
-    most = n[TORQUE] + n[RELEASE] * 0.5 * n[TRAVEL]
-    way = (2.0 * most / n[R] - n[PRELOAD]) / (n[KA] + 2.0 * n[RELEASE] / n[R])
-    found = np.zeros((len(numbers), STATES))
-    found[:, Y] = np.clip(way, 0.0, n[TRAVEL])
-    found[:, STOP] = np.where(way <= 0.0, -1.0, np.where(way >= n[TRAVEL], 1.0, 0.0))
-    pull = np.maximum(most - n[RELEASE] * found[:, Y], 0.0) / n[R]
-    found[:, E], found[:, STUCK], found[:, TAUT] = pull / n[K], 1.0, pull > 0.0
-    found[:, DRAGS], found[:, TENSION] = 1.0, pull * (1.0 + n[FRICTION])
-    return found
+    torque_at_rest = n[TORQUE] + n[RELEASE] * 0.5 * n[TRAVEL]
+    arm_m = (2.0 * torque_at_rest / n[R] - n[PRELOAD]) / (n[KA] + 2.0 * n[RELEASE] / n[R])
+    states = np.zeros((len(numbers), STATES))
+    states[:, Y] = np.clip(arm_m, 0.0, n[TRAVEL])
+    states[:, STOP] = np.where(arm_m <= 0.0, -1.0, np.where(arm_m >= n[TRAVEL], 1.0, 0.0))
+    pull_n = np.maximum(torque_at_rest - n[RELEASE] * states[:, Y], 0.0) / n[R]
+    states[:, E], states[:, STUCK], states[:, TAUT] = pull_n / n[K], 1.0, pull_n > 0.0
+    states[:, DRAGS], states[:, TENSION] = 1.0, pull_n * (1.0 + n[FRICTION])
+    return states
 
 
 @njit(nogil=True)
@@ -148,12 +150,12 @@ def _pull(e: float, w: float, dy: float, taut: bool, v: float, n: FloatArray) ->
 
 
 @njit(nogil=True)
-def _given(at_s: float, given: tuple[float, float, float, float]) -> float:
-    """Return the speed of the fibre at the eye; ``given`` is as in ``_stepped``."""
-    v0, v1, mean, tick_s = given
+def _eye_speed(at_s: float, eye_speed: tuple[float, float, float, float]) -> float:
+    """Return the speed of the fibre at the eye; ``eye_speed`` is as in ``_stepped``."""
+    v0, v1, mean, tick_s = eye_speed
     share = at_s / tick_s
-    bump = 6.0 * (mean - 0.5 * (v0 + v1))
-    return v0 + (v1 - v0) * share + bump * share * (1.0 - share)
+    curvature = 6.0 * (mean - 0.5 * (v0 + v1))
+    return v0 + (v1 - v0) * share + curvature * share * (1.0 - share)
 
 
 @njit(nogil=True)
@@ -173,16 +175,16 @@ def _slope(
 
 @njit(nogil=True)
 def _moved(
-    x: tuple[float, float, float, float], by: tuple[float, float, float, float], h: float
+    x: tuple[float, float, float, float], rates: tuple[float, float, float, float], h: float
 ) -> tuple[float, float, float, float]:
-    return x[0] + h * by[0], x[1] + h * by[1], x[2] + h * by[2], x[3] + h * by[3]
+    return x[0] + h * rates[0], x[1] + h * rates[1], x[2] + h * rates[2], x[3] + h * rates[3]
 
 
 @njit(nogil=True)
 def _stepped(
     x: tuple[float, float, float, float],
     mode: tuple[bool, int, bool],
-    given: tuple[float, float, float, float],
+    eye_speed: tuple[float, float, float, float],
     at_s: float,
     h: float,
     n: FloatArray,
@@ -194,22 +196,22 @@ def _stepped(
     x, mode
         Elongation, speed of the spool, position and speed of the arm; and whether the spool is
         held, the stop of the arm (-1, 0, 1), whether the fibre is taut.
-    given
+    eye_speed
         Speed of the fibre at the beginning and end of the tick, mean speed, and length of the tick.
     at_s, h
         Time since the beginning of the tick, and length of the step.
     """
-    middle = _given(at_s + 0.5 * h, given)
-    a = _slope(x, mode, _given(at_s, given), n)
-    b = _slope(_moved(x, a, 0.5 * h), mode, middle, n)
-    c = _slope(_moved(x, b, 0.5 * h), mode, middle, n)
-    d = _slope(_moved(x, c, h), mode, _given(at_s + h, given), n)
-    part = h / 6.0
-    return _moved(_moved(_moved(_moved(x, a, part), b, 2.0 * part), c, 2.0 * part), d, part)
+    middle_speed = _eye_speed(at_s + 0.5 * h, eye_speed)
+    a = _slope(x, mode, _eye_speed(at_s, eye_speed), n)
+    b = _slope(_moved(x, a, 0.5 * h), mode, middle_speed, n)
+    c = _slope(_moved(x, b, 0.5 * h), mode, middle_speed, n)
+    d = _slope(_moved(x, c, h), mode, _eye_speed(at_s + h, eye_speed), n)
+    sixth = h / 6.0
+    return _moved(_moved(_moved(_moved(x, a, sixth), b, 2.0 * sixth), c, 2.0 * sixth), d, sixth)
 
 
 @njit(nogil=True)
-def _beyond(
+def _crossed_boundary(
     x: tuple[float, float, float, float], mode: tuple[bool, int, bool], v: float, n: FloatArray
 ) -> int:
     """Return which boundary of its mode a state has crossed; 0 for none.
@@ -262,33 +264,35 @@ def _changed(
 def _one_step(
     x: tuple[float, float, float, float],
     mode: tuple[bool, int, bool],
-    given: tuple[float, float, float, float],
+    eye_speed: tuple[float, float, float, float],
     begin_s: float,
     h: float,
     n: FloatArray,
 ) -> tuple[tuple[float, float, float, float], tuple[bool, int, bool]]:
     """Return state and mode a time h later, including all changes of the mode in this time."""
-    at, left = begin_s, h
+    at_s, left_s = begin_s, h
     for _ in range(_MOST_CHANGES):
-        after = _stepped(x, mode, given, at, left, n)
-        end = _beyond(after, mode, _given(at + left, given), n)
+        next_state = _stepped(x, mode, eye_speed, at_s, left_s, n)
+        end = _crossed_boundary(next_state, mode, _eye_speed(at_s + left_s, eye_speed), n)
         if end == 0:
-            return after, mode
-        low, high = 0.0, left
-        while high - low > _FINE * h:
-            middle = 0.5 * (low + high)
-            there = _stepped(x, mode, given, at, middle, n)
-            found = _beyond(there, mode, _given(at + middle, given), n)
-            if found == 0:
-                low = middle
+            return next_state, mode
+        low_s, high_s = 0.0, left_s
+        while high_s - low_s > _LOCATED_SHARE * h:
+            middle_s = 0.5 * (low_s + high_s)
+            middle_state = _stepped(x, mode, eye_speed, at_s, middle_s, n)
+            middle_end = _crossed_boundary(
+                middle_state, mode, _eye_speed(at_s + middle_s, eye_speed), n
+            )
+            if middle_end == 0:
+                low_s = middle_s
             else:
-                high, after, end = middle, there, found
-        x, mode = _changed(after, mode, end, n)
-        at += high
-        left -= high
-        if left <= _FINE * h:
+                high_s, next_state, end = middle_s, middle_state, middle_end
+        x, mode = _changed(next_state, mode, end, n)
+        at_s += high_s
+        left_s -= high_s
+        if left_s <= _LOCATED_SHARE * h:
             return x, mode
-    return _stepped(x, mode, given, at, left, n), mode
+    return _stepped(x, mode, eye_speed, at_s, left_s, n), mode
 
 
 @njit(nogil=True)
@@ -320,6 +324,6 @@ def unwind(
     z[E], z[W], z[Y], z[DY] = x
     z[STUCK], z[STOP], z[TAUT] = mode[0], mode[1], mode[2]
     z[SPEED] = speed_m_s
-    z[DRAGS] = min(max(z[DRAGS] + used_m / _TURNS_M, -1.0), 1.0)
+    z[DRAGS] = min(max(z[DRAGS] + used_m / _REVERSAL_M, -1.0), 1.0)
     pull = _pull(x[0], x[1], x[3], mode[2], speed_m_s, n)
     z[TENSION] = pull * math.pow(1.0 + n[FRICTION], z[DRAGS])

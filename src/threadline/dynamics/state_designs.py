@@ -51,8 +51,10 @@ DESIGNS = ("lqg", "preview", "zpetc", "cross-coupled")
 """Names of all designs; the module ``contouring`` makes the last one."""
 PREVIEW = (1, 40)
 """Smallest and largest number of references that a preview looks ahead."""
-_SLOW = 0.999  # a zero with |z| above this, or with a negative real part, would ring if cancelled
-_BOXES = 4  # number of moving averages
+_LARGEST_CANCELLED = (
+    0.999  # a zero with |z| above this, or with a negative real part, would ring if cancelled
+)
+_AVERAGES = 4  # number of moving averages
 _DRIFT_LEVELS = 0.05
 _NOISE_LEVELS = 1.0
 """Standard deviations in DAC levels per tick: of the drift of d, and of unknown changes of the
@@ -139,14 +141,14 @@ class Regulator:
             Number of ticks that the references are known ahead; 0 for none.
         """
         m, Fc = len(self.parts), self.closed
-        front = np.linalg.solve(np.eye(m) + self.G.T @ self.solution @ self.G, self.G.T)
+        input_gain = np.linalg.solve(np.eye(m) + self.G.T @ self.solution @ self.G, self.G.T)
         effect = self.load.T * self.weight**2
         gains = []
         for _ in range(max(ticks - 1, 0)):
-            gains.append(front @ effect)
+            gains.append(input_gain @ effect)
             effect = Fc.T @ effect
-        rest = front @ np.linalg.solve(np.eye(len(Fc)) - Fc.T, effect)
-        return [rest, *reversed(gains)]
+        last_gain = input_gain @ np.linalg.solve(np.eye(len(Fc)) - Fc.T, effect)
+        return [last_gain, *reversed(gains)]
 
 
 def regulators(
@@ -177,29 +179,29 @@ def regulators(
             remedy=f"It has: {', '.join(machine.observing) or 'none'}.",
         )
     groups = [group for group in connected_groups(machine) if not group.sources]
-    found = []
+    regulators = []
     for group, models in zip(groups, linear_variants(machine), strict=True):
         if not group.axes:
             continue
         parts = loop_parts(machine, group.controllers)
-        own = tuple(part.of.sensor for part in parts)
-        sensors = own + tuple(name for name in others if name in group.sensors)
-        chosen = {part.axis: gain * _present(machine, part) for part in parts}
-        found.append(_regulator(machine, parts, sensors, models.one(0), chosen))
-    return found
+        loop_sensors = tuple(part.of.sensor for part in parts)
+        sensors = loop_sensors + tuple(name for name in others if name in group.sensors)
+        weights = {part.axis: gain * _present_static_gain(machine, part) for part in parts}
+        regulators.append(_regulator(machine, parts, sensors, models.one(0), weights))
+    return regulators
 
 
-def _present(machine: Machine, part: LoopPart) -> float:
+def _present_static_gain(machine: Machine, part: LoopPart) -> float:
     """Return the static gain of the present controller, DAC levels per count."""
     if part.of.kind == "state-space":
-        return _USUAL
+        return _USUAL_GAIN
     b, a = difference_equation(machine, part.controller, Values.of(machine))
-    rest = 1.0 + float(a[0].sum())
-    still = float(b[0].sum()) / rest if abs(rest) > 1e-9 else 0.0
-    return still if still > 0.0 else _USUAL
+    denominator_sum = 1.0 + float(a[0].sum())
+    static_gain = float(b[0].sum()) / denominator_sum if abs(denominator_sum) > 1e-9 else 0.0
+    return static_gain if static_gain > 0.0 else _USUAL_GAIN
 
 
-_USUAL = 0.02
+_USUAL_GAIN = 0.02
 
 
 def _regulator(
@@ -218,28 +220,28 @@ def _regulator(
             place=machine.place,
             remedy="A design needs one DAC for all of them, and an axis for each.",
         )
-    volts = parts[0].of.dac.volt_per_level
+    volt_per_level = parts[0].of.dac.volt_per_level
     plant = model.select(
         [f"drives.{part.of.drive}" for part in parts],
         [*(f"sensors.{name}" for name in sensors), *(f"{part.axis}.load" for part in parts)],
     )
     sampled = sample(plant, float(clock.period_s))
     m, q, n = len(parts), len(sensors), len(plant.A)
-    lines = [t + 1 for t in sampled.ticks]
-    size = n + sum(lines)
+    line_lengths = [t + 1 for t in sampled.ticks]
+    size = n + sum(line_lengths)
     F, G = np.zeros((size, size)), np.zeros((size, m))
     F[:n, :n] = sampled.transition
-    at = n
+    line_start = n
     for i, ticks in enumerate(sampled.ticks):
-        G[at, i] = 1.0
-        for j in range(1, lines[i]):
-            F[at + j, at + j - 1] = 1.0
+        G[line_start, i] = 1.0
+        for j in range(1, line_lengths[i]):
+            F[line_start + j, line_start + j - 1] = 1.0
         if ticks == 0:
-            G[:n, i] += volts * sampled.newer[:, i]
+            G[:n, i] += volt_per_level * sampled.newer[:, i]
         else:
-            F[:n, at + ticks - 1] += volts * sampled.newer[:, i]
-        F[:n, at + ticks] += volts * sampled.older[:, i]
-        at += lines[i]
+            F[:n, line_start + ticks - 1] += volt_per_level * sampled.newer[:, i]
+        F[:n, line_start + ticks] += volt_per_level * sampled.older[:, i]
+        line_start += line_lengths[i]
     counts = np.array([machine.axes[part.axis].counts.si for part in parts])
     H, load = np.zeros((q, size)), np.zeros((m, size))
     H[:, :n] = plant.C[:q]
@@ -250,7 +252,7 @@ def _regulator(
         solution = solve_discrete_are(F, G, load.T * weight**2 @ load, np.eye(m))
         K = np.asarray(np.linalg.solve(np.eye(m) + G.T @ solution @ G, G.T @ solution @ F))
         push = np.zeros((size, m))
-        push[:n] = volts * (sampled.newer + sampled.older)
+        push[:n] = volt_per_level * (sampled.newer + sampled.older)
         observer = _observer(F, push, H, noise)
     except (np.linalg.LinAlgError, ValueError) as error:
         raise MachineError(
@@ -267,12 +269,12 @@ def _regulator(
 def _observer(F: FloatArray, push: FloatArray, H: FloatArray, noise: FloatArray) -> FloatArray:
     """Return the (n + m, q) gain of the Kalman filter, which uses the readings of the same tick."""
     n, m = push.shape
-    whole = block_diag(F, np.eye(m))
-    whole[:n, n:] = push
-    seen = np.hstack([H, np.zeros((len(H), m))])
+    F_and_drift = block_diag(F, np.eye(m))
+    F_and_drift[:n, n:] = push
+    H_and_drift = np.hstack([H, np.zeros((len(H), m))])
     process = block_diag(_NOISE_LEVELS**2 * push @ push.T, _DRIFT_LEVELS**2 * np.eye(m))
-    P = solve_discrete_are(whole.T, seen.T, process, noise)
-    return np.asarray(np.linalg.solve(seen @ P @ seen.T + noise, seen @ P).T)
+    P = solve_discrete_are(F_and_drift.T, H_and_drift.T, process, noise)
+    return np.asarray(np.linalg.solve(H_and_drift @ P @ H_and_drift.T + noise, H_and_drift @ P).T)
 
 
 def _variance(machine: Machine, name: str) -> float:
@@ -304,10 +306,10 @@ def preview(regulator: Regulator, ticks: int) -> Designed:
     m = len(regulator.parts)
     shift = np.zeros((m * (len(gains) - 1),) * 2)
     shift[m:, : -m or None] = np.eye(max(len(shift) - m, 0)) if len(shift) else 0.0
-    enter = np.zeros((len(shift), m))
-    enter[:m] = np.eye(m)[: len(shift)]
+    first_place = np.zeros((len(shift), m))
+    first_place[:m] = np.eye(m)[: len(shift)]
     through = np.hstack(gains[1:]) if len(gains) > 1 else np.zeros((m, 0))
-    return _joined(regulator, (shift, enter, through, gains[0]), ticks)
+    return _joined(regulator, (shift, first_place, through, gains[0]), ticks)
 
 
 def zero_phase(regulator: Regulator, delay_ticks: int, smoothing_ticks: int = 1) -> Designed:
@@ -323,20 +325,20 @@ def zero_phase(regulator: Regulator, delay_ticks: int, smoothing_ticks: int = 1)
         They add no phase. They are needed because references are whole counts, and an inverse would
         amplify the steps.
     """
-    poles, good, bad, gain = _reference_to_load(regulator)
-    still = regulator.ahead(0)[0][0, 0]
-    top = np.poly(poles)
-    for zero in bad:
-        top = np.convolve(top, [-zero, 1.0])
+    poles, cancelled, kept_zeros, gain = _reference_to_load(regulator)
+    static_gain = regulator.ahead(0)[0][0, 0]
+    numerator = np.poly(poles)
+    for zero in kept_zeros:
+        numerator = np.convolve(numerator, [-zero, 1.0])
     # The moving averages and the reversed zeros of the numerator look ahead by these ticks.
-    late = delay_ticks + len(bad) + _BOXES * (smoothing_ticks - 1) // 2
-    bottom = np.convolve(np.poly(good).real * gain, np.eye(1, late + 1)[0])
-    bottom = bottom * np.prod((1.0 - bad) ** 2).real
-    for _ in range(_BOXES):
-        top = np.convolve(top, np.full(smoothing_ticks, 1.0 / smoothing_ticks))
-    A, B, C, D = tf2ss(top.real, bottom)
+    look_ahead = delay_ticks + len(kept_zeros) + _AVERAGES * (smoothing_ticks - 1) // 2
+    denominator = np.convolve(np.poly(cancelled).real * gain, np.eye(1, look_ahead + 1)[0])
+    denominator = denominator * np.prod((1.0 - kept_zeros) ** 2).real
+    for _ in range(_AVERAGES):
+        numerator = np.convolve(numerator, np.full(smoothing_ticks, 1.0 / smoothing_ticks))
+    A, B, C, D = tf2ss(numerator.real, denominator)
     A, B, C, D = _balanced(A, B, C, D)
-    return _joined(regulator, (A, B, still * C, still * D), delay_ticks)
+    return _joined(regulator, (A, B, static_gain * C, static_gain * D), delay_ticks)
 
 
 def zero_phase_ticks(regulator: Regulator, smoothing_ticks: int = 1) -> int:
@@ -353,8 +355,8 @@ def zero_phase_ticks(regulator: Regulator, smoothing_ticks: int = 1) -> int:
             "zero-phase tracking is made for one drive and one load",
             remedy="Choose another design.",
         )
-    poles, good, _, _ = _reference_to_load(regulator)
-    return len(poles) - len(good) + _BOXES * (smoothing_ticks - 1) // 2
+    poles, cancelled, _, _ = _reference_to_load(regulator)
+    return len(poles) - len(cancelled) + _AVERAGES * (smoothing_ticks - 1) // 2
 
 
 def _reference_to_load(
@@ -363,20 +365,20 @@ def _reference_to_load(
     """Return poles, zeros to cancel, other zeros, and gain, from reference to load."""
     Fc, G = regulator.closed, regulator.G * regulator.ahead(0)[0]
     n = len(Fc)
-    whole = np.block([[Fc, G], [regulator.load, np.zeros((1, 1))]])
+    system = np.block([[Fc, G], [regulator.load, np.zeros((1, 1))]])
     pencil = block_diag(np.eye(n), np.zeros((1, 1)))
-    zeros: ComplexArray = np.asarray(eigvals(whole, pencil), dtype=np.complex128)
-    zeros = zeros[np.isfinite(zeros) & (np.abs(zeros) < _INFINITE)]
+    zeros: ComplexArray = np.asarray(eigvals(system, pencil), dtype=np.complex128)
+    zeros = zeros[np.isfinite(zeros) & (np.abs(zeros) < _LARGEST_ZERO)]
     poles = np.linalg.eigvals(Fc).astype(np.complex128)
-    far = (np.abs(zeros) > _SLOW) | (zeros.real < 0.0)
-    good, bad = zeros[~far], zeros[far]
-    at = np.exp(0.3j)
-    response = (regulator.load @ np.linalg.solve(at * np.eye(n) - Fc, G))[0, 0]
-    gain = response * np.prod(at - poles) / np.prod(at - zeros)
-    return poles, np.asarray(good), np.asarray(bad), float(gain.real)
+    is_kept = (np.abs(zeros) > _LARGEST_CANCELLED) | (zeros.real < 0.0)
+    cancelled, kept_zeros = zeros[~is_kept], zeros[is_kept]
+    z = np.exp(0.3j)
+    response = (regulator.load @ np.linalg.solve(z * np.eye(n) - Fc, G))[0, 0]
+    gain = response * np.prod(z - poles) / np.prod(z - zeros)
+    return poles, np.asarray(cancelled), np.asarray(kept_zeros), float(gain.real)
 
 
-_INFINITE = 1e4
+_LARGEST_ZERO = 1e4
 
 
 def _balanced(
@@ -403,10 +405,10 @@ def _joined(
     G = np.vstack([regulator.G, np.zeros((m, m))])
     H = np.hstack([regulator.H, np.zeros((q, m))])
     K = np.hstack([regulator.K, np.eye(m)])
-    kept = np.eye(n + m) - regulator.observer @ H
+    prediction = np.eye(n + m) - regulator.observer @ H
     f = len(Af)
     A = np.zeros((n + m + f, n + m + f))
-    A[: n + m, : n + m] = (F - G @ K) @ kept
+    A[: n + m, : n + m] = (F - G @ K) @ prediction
     A[: n + m, n + m :] = G @ Cf
     A[n + m :, n + m :] = Af
     B = np.zeros((n + m + f, m + q))
@@ -425,7 +427,7 @@ def _joined(
         clock=regulator.clock,
         A=A,
         B=B,
-        C=np.hstack([-K @ kept, Cf]),
+        C=np.hstack([-K @ prediction, Cf]),
         D=np.hstack([Df, -K @ regulator.observer]),
         L=np.vstack([G, np.zeros((f, m))]),
         dac=regulator.parts[0].of.dac,

@@ -118,9 +118,9 @@ class AxisEnds:
     ) -> TableEnd | None:
         if not forced.any():
             return TableEnd(more_si=forced, off_si=0.0, volts=0.0, current_a=0.0)
-        ways = [None, held] if self._skips and held is not None else [None]
-        found = [self._chosen(output, forced, chosen, held, lost) for lost in ways]
-        return min((end for end in found if end), key=lambda end: end.off_si, default=None)
+        lost_ticks = [None, held] if self._skips and held is not None else [None]
+        ends = [self._chosen(output, forced, chosen, held, lost) for lost in lost_ticks]
+        return min((end for end in ends if end), key=lambda end: end.off_si, default=None)
 
     def _chosen(
         self,
@@ -132,18 +132,18 @@ class AxisEnds:
     ) -> TableEnd | None:
         """Return the best end if the DAC loses the tick ``lost`` besides those of the inverse."""
         acts = acting(output.levels) if self._skips else output.levels
-        gone = acts != output.levels
+        is_lost = acts != output.levels
         if lost is not None:
-            gone[lost] = True
+            is_lost[lost] = True
         size, n = len(output), len(chosen)
-        more = np.zeros((size, n + 1))
-        more[chosen, np.arange(n)] = 1.0
-        more[:, n] = forced
+        changes = np.zeros((size, n + 1))
+        changes[chosen, np.arange(n)] = 1.0
+        changes[:, n] = forced
 
         def effect(tick: int, levels: FloatArray) -> FloatArray:
-            return np.append(np.zeros(n), -acts[tick]) if gone[tick] else levels
+            return np.append(np.zeros(n), -acts[tick]) if is_lost[tick] else levels
 
-        answer = self._loop.changed(more, effect)
+        answer = self._loop.changed(changes, effect)
         current = self._loop.current_a(acts, output.counts)
         volts = max(self._volts, float(np.abs(output.levels).max()))
         amperes = max(self._amperes, float(np.abs(current).max()))
@@ -153,27 +153,27 @@ class AxisEnds:
         low, high = signs
         load, levels, amps = answer.load_si * _MM, answer.levels, answer.current_a
         rows = [load, -load, levels, -levels]
-        zero = np.zeros(size)
-        most = [zero, zero, high - output.levels, output.levels - low]
-        slack = [zero - 1.0, zero - 1.0, zero, zero]
+        zeros = np.zeros(size)
+        upper_bounds = [zeros, zeros, high - output.levels, output.levels - low]
+        slack = [zeros - 1.0, zeros - 1.0, zeros, zeros]
         if np.isfinite(amperes):
             rows += [amps, -amps]
-            most += [amperes - current, amperes + current]
-            slack += [zero, zero]
+            upper_bounds += [amperes - current, amperes + current]
+            slack += [zeros, zeros]
         matrix = np.vstack(rows)
-        found = solved(
+        solution = solved(
             np.append(np.zeros(n), 1.0),
             below=(
                 np.column_stack([matrix[:, :n] / _MM, np.concatenate(slack)]),
-                np.concatenate(most) - matrix[:, n],
+                np.concatenate(upper_bounds) - matrix[:, n],
             ),
             bounds=[(None, None)] * n + [(0.0, None)],
         )
-        if found.status != 0 or found.x is None:
+        if solution.status != 0 or solution.x is None:
             return None
-        added = forced.copy()
-        added[chosen] += found.x[:n] / _MM
-        return self._followed(added, output.levels, acts, current)
+        added_si = forced.copy()
+        added_si[chosen] += solution.x[:n] / _MM
+        return self._followed(added_si, output.levels, acts, current)
 
     def _signs(
         self,
@@ -188,35 +188,35 @@ class AxisEnds:
         low, high = np.full(len(levels), -volts), np.full(len(levels), volts)
         if not self._skips:
             return low, high
-        before = slice(int(chosen[0]), len(levels) if held is None else held)
-        sure = np.minimum(np.abs(levels), self._band)
-        low[before] = np.where(levels > 0.0, sure, low)[before]
-        high[before] = np.where(levels < 0.0, -sure, high)[before]
+        signed_ticks = slice(int(chosen[0]), len(levels) if held is None else held)
+        least_level = np.minimum(np.abs(levels), self._band)
+        low[signed_ticks] = np.where(levels > 0.0, least_level, low)[signed_ticks]
+        high[signed_ticks] = np.where(levels < 0.0, -least_level, high)[signed_ticks]
         if lost is not None:
-            last = acts[lost - 1]
-            if last == 0.0:
+            level_before = acts[lost - 1]
+            if level_before == 0.0:
                 return None
-            if last < 0.0:
+            if level_before < 0.0:
                 low[lost] = self._band
             else:
                 high[lost] = -self._band
         return low, high
 
     def _followed(
-        self, added: FloatArray, levels: FloatArray, acts: FloatArray, current: FloatArray
+        self, added_si: FloatArray, levels: FloatArray, acts: FloatArray, current: FloatArray
     ) -> TableEnd:
         """Return the simulated result of changed references, with every tick that the DAC loses."""
-        before = 0.0
+        last_output = 0.0
 
         def effect(tick: int, change: FloatArray) -> FloatArray:
-            nonlocal before
+            nonlocal last_output
             level = float(levels[tick] + change[0])
-            before = acts_after(before, level) if self._skips else level
-            return np.array([before - acts[tick]])
+            last_output = acts_after(last_output, level) if self._skips else level
+            return np.array([last_output - acts[tick]])
 
-        answer = self._loop.changed(added[:, None], effect)
+        answer = self._loop.changed(added_si[:, None], effect)
         return TableEnd(
-            more_si=added,
+            more_si=added_si,
             off_si=float(np.abs(answer.load_si).max()),
             volts=float(np.abs(levels + answer.levels[:, 0]).max()),
             current_a=float(np.abs(current + answer.current_a[:, 0]).max()),

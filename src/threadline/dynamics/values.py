@@ -52,18 +52,20 @@ class Values(Locked):
         OptionError
             If a name is not the name of a number of this machine, or the lengths differ.
         """
-        given = {k: read_only(np.atleast_1d(v), k, ndim=1) for k, v in (replaced or {}).items()}
-        known = number_paths(machine) if given else ()
-        for path in given:
+        replacements = {
+            k: read_only(np.atleast_1d(v), k, ndim=1) for k, v in (replaced or {}).items()
+        }
+        known = number_paths(machine) if replacements else ()
+        for path in replacements:
             if path not in known:
                 raise OptionError(
                     f"machine {machine.name!r} has no number {path!r}",
                     remedy=nearest(path, known, "It has"),
                 )
-        lengths = {len(v) for v in given.values()} or {1}
+        lengths = {len(v) for v in replacements.values()} or {1}
         if len(lengths) > 1:
             raise OptionError(f"variants have different lengths: {sorted(lengths)}")
-        return cls(machine, given, lengths.pop())
+        return cls(machine, replacements, lengths.pop())
 
     def at(self, path: str, quantity: Quantity | None) -> FloatArray | float:
         """Return the (count,) values of ``path``, else the machine's ``quantity`` (0 if None)."""
@@ -78,27 +80,27 @@ class Values(Locked):
         the instants at which a simulation stops. In each group the dead times are numbers of
         ``machine`` and not of ``replaced``.
         """
-        late = self._late()
-        if not late:
+        delay_paths = self._late()
+        if not delay_paths:
             return [(self, np.arange(self.count))]
-        kept = {path: v for path, v in self.replaced.items() if path not in late}
-        found = []
+        other_values = {path: v for path, v in self.replaced.items() if path not in delay_paths}
+        groups = []
         for places in self.places_by_delay():
-            delays = {path: float(self.replaced[path][places[0]]) for path in late}
-            part = {path: values[places] for path, values in kept.items()}
+            delays = {path: float(self.replaced[path][places[0]]) for path in delay_paths}
+            group_values = {path: values[places] for path, values in other_values.items()}
             machine = with_numbers(self.machine, delays)
-            found.append((Values(machine, part, len(places)), places))
-        return found
+            groups.append((Values(machine, group_values, len(places)), places))
+        return groups
 
     def places_by_delay(self) -> list[IntArray]:
         """Return the (k,) indices of each group of ``by_delay``."""
-        late = self._late()
-        if not late:
+        delay_paths = self._late()
+        if not delay_paths:
             return [np.arange(self.count)]
-        rows = np.stack([self.replaced[path] for path in late], axis=1)
-        _, which = np.unique(rows, axis=0, return_inverse=True)
-        order = np.argsort(which.ravel(), kind="stable")
-        return np.split(order, np.cumsum(np.bincount(which.ravel()))[:-1])
+        rows = np.stack([self.replaced[path] for path in delay_paths], axis=1)
+        _, group_index = np.unique(rows, axis=0, return_inverse=True)
+        order = np.argsort(group_index.ravel(), kind="stable")
+        return np.split(order, np.cumsum(np.bincount(group_index.ravel()))[:-1])
 
     def _late(self) -> list[str]:
         """Return the names of the dead times that vary."""
@@ -128,10 +130,10 @@ def _paths(machine: Machine) -> Iterator[str]:
 def _numbers(part: Any, path: str) -> Iterator[str]:
     for field in fields(part):
         value = getattr(part, field.name)
-        where = f"{path}.{field.name}"
+        field_path = f"{path}.{field.name}"
         if isinstance(value, Quantity):
-            yield where
+            yield field_path
         elif isinstance(value, dict):
-            yield from (f"{where}.{k}" for k, v in value.items() if isinstance(v, Quantity))
+            yield from (f"{field_path}.{k}" for k, v in value.items() if isinstance(v, Quantity))
         elif is_dataclass(value):
-            yield from _numbers(value, where)
+            yield from _numbers(value, field_path)

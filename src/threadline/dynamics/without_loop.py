@@ -162,15 +162,18 @@ class PositionDriveAnalysis:
 
     def verdict(self) -> str:
         """Return one sentence with the vibration frequency of the load and the needed torque."""
-        rings = f"its load rings at {self.locked[0].frequency_hz:.4g} Hz" if self.locked else ""
-        swing = (
+        ringing_text = (
+            f"its load rings at {self.locked[0].frequency_hz:.4g} Hz" if self.locked else ""
+        )
+        resonance_text = (
             ""
             if self.resonance_hz is None
             else f"; the motor's step resonance is {self.resonance_hz:.4g} Hz"
         )
         return (
             f"axis {self.axis} has no loop: drives.{self.drive} takes positions, and "
-            f"{rings or 'its load does not ring'}{swing}; at the axis' limits it needs "
+            f"{ringing_text or 'its load does not ring'}{resonance_text}; at the axis' limits it "
+            "needs "
             f"{self.needed:.4g} of {self.torque_at_speed:.4g} {self.unit}"
         )
 
@@ -212,19 +215,22 @@ def analyse_position_drive(machine: Machine, axis: str) -> PositionDriveAnalysis
     MachineError
         If its piece has a part that is not linear.
     """
-    piece, part = piece_of(machine, axis), machine.axes[axis]
-    source = machine.position_sources[part.drive]
-    turns = abs(drive_rate(machine, axis, rigid_motion(machine, axis)))
-    speeds = np.array([0.0, part.velocity.si * turns])
-    still, fast = source.most_torque(speeds).tolist()
+    piece, axis_part = piece_of(machine, axis), machine.axes[axis]
+    source = machine.position_sources[axis_part.drive]
+    drive_per_axis = abs(drive_rate(machine, axis, rigid_motion(machine, axis)))
+    speeds = np.array([0.0, axis_part.velocity.si * drive_per_axis])
+    torque_at_rest, torque_at_speed = source.most_torque(speeds).tolist()
     return PositionDriveAnalysis(
         axis=axis,
-        drive=part.drive,
+        drive=axis_part.drive,
         locked=held_motor_modes(machine, axis),
-        resonance_hz=resonance_hz(source, float(piece.inertia[piece.drives.index(part.drive)])),
-        torque=still,
-        torque_at_speed=fast,
-        needed=rigid_force(machine, axis, part.velocity.si, part.acceleration.si) / turns,
+        resonance_hz=resonance_hz(
+            source, float(piece.inertia[piece.drives.index(axis_part.drive)])
+        ),
+        torque=torque_at_rest,
+        torque_at_speed=torque_at_speed,
+        needed=rigid_force(machine, axis, axis_part.velocity.si, axis_part.acceleration.si)
+        / drive_per_axis,
         unit=drive_unit(machine, axis),
     )
 

@@ -81,17 +81,17 @@ class Spread:
     def worst(self, kind: ControllerKind, gains: Mapping[str, float]) -> WorstMargins:
         """Return the worst margins of the axis with a controller of the given kind and gains."""
         L = self.plant.response * self.plant.controller(kind, gains)
-        found: list[tuple[GridMargins, bool, FloatArray]] = []
+        worst_cases: list[tuple[GridMargins, bool, FloatArray]] = []
         for measure in (_phase, _gain):
             signs = self._climbed(L, measure)
             margins, stable = self._exact(signs, kind, gains)
-            found.append((margins, stable, signs))
-        (by_phase, first, signs), (by_gain, second, _) = found
-        names = [one.name for one in uncertain(self.machine)]
+            worst_cases.append((margins, stable, signs))
+        (by_phase, phase_stable, signs), (by_gain, gain_stable, _) = worst_cases
+        names = [number.name for number in uncertain(self.machine)]
         return WorstMargins(
             phase_margin_deg=_or_none(by_phase.phase_deg[0]),
             gain_margin=_or_none(by_gain.gain_factor[0]),
-            stable=first and second,
+            stable=phase_stable and gain_stable,
             at={
                 names[k]: "+" if sign > 0.0 else "-"
                 for k, sign in zip(self.index, signs, strict=True)
@@ -104,29 +104,29 @@ class Spread:
         count = len(self.index)
         signs = np.zeros(count)
         omega = self.plant.omega_rad_s
-        least = float(measure(grid_margins(L, omega))[0])
+        least_margin = float(measure(grid_margins(L, omega))[0])
         for _ in range(_ROUNDS):
-            before = least
+            last_margin = least_margin
             for k in range(count):
-                tried = np.repeat(signs[None], 2, axis=0)
-                tried[:, k] = (-1.0, 1.0)
-                change = np.where(tried > 0, 1.0, 0.0) @ self.upper
-                change = change + np.where(tried < 0, 1.0, 0.0) @ self.lower
-                sizes = measure(grid_margins(L * np.exp(change), omega))
-                best = int(np.argmin(sizes))
-                if sizes[best] < least:
-                    least, signs = float(sizes[best]), tried[best]
-            if least == before:
+                candidate_signs = np.repeat(signs[None], 2, axis=0)
+                candidate_signs[:, k] = (-1.0, 1.0)
+                change = np.where(candidate_signs > 0, 1.0, 0.0) @ self.upper
+                change = change + np.where(candidate_signs < 0, 1.0, 0.0) @ self.lower
+                margins = measure(grid_margins(L * np.exp(change), omega))
+                smallest = int(np.argmin(margins))
+                if margins[smallest] < least_margin:
+                    least_margin, signs = float(margins[smallest]), candidate_signs[smallest]
+            if least_margin == last_margin:
                 break
         return signs
 
     def _exact(
         self, signs: FloatArray, kind: ControllerKind, gains: Mapping[str, float]
     ) -> tuple[GridMargins, bool]:
-        parts = np.zeros(len(uncertain(self.machine)))
-        parts[list(self.index)] = signs
-        made = variant(with_controller(self.machine, self.axis, kind, gains), parts)
-        loop = axis_loop(made, self.axis)
+        shares = np.zeros(len(uncertain(self.machine)))
+        shares[list(self.index)] = signs
+        worst_machine = variant(with_controller(self.machine, self.axis, kind, gains), shares)
+        loop = axis_loop(worst_machine, self.axis)
         plant = open_plant(loop, self.plant.omega_rad_s)
         L = plant.response * plant.controller(kind, gains)
         stable = not len(unstable_eigenvalues(loop.closed().A))
@@ -145,10 +145,10 @@ def spread_of(machine: Machine, axis: str) -> Spread:
     for k in range(count):
         changes = []
         for sign in (1.0, -1.0):
-            parts = np.zeros(count)
-            parts[k] = sign
-            other = open_plant(axis_loop(variant(machine, parts), axis), plant.omega_rad_s)
-            changes.append(np.log(other.response / plant.response))
+            shares = np.zeros(count)
+            shares[k] = sign
+            changed_plant = open_plant(axis_loop(variant(machine, shares), axis), plant.omega_rad_s)
+            changes.append(np.log(changed_plant.response / plant.response))
             if np.abs(changes[0]).max() < _LEAST_EFFECT:
                 break
         if len(changes) == 2:
@@ -160,8 +160,8 @@ def spread_of(machine: Machine, axis: str) -> Spread:
         axis=axis,
         plant=plant,
         index=tuple(index),
-        upper=np.array([one[0] for one in ends]) if ends else empty,
-        lower=np.array([one[1] for one in ends]) if ends else empty,
+        upper=np.array([end[0] for end in ends]) if ends else empty,
+        lower=np.array([end[1] for end in ends]) if ends else empty,
     )
 
 

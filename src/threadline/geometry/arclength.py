@@ -61,28 +61,28 @@ def _speed(top, bottom, begin, sweep, u):  # type: ignore[no-untyped-def]
 
 @njit()
 def _invert(  # type: ignore[no-untyped-def]
-    top, bottom, begin_rad, sweep_rad, piece, begin_u, end_u, begin_m, even, span, wanted
+    top, bottom, begin_rad, sweep_rad, piece, begin_u, end_u, begin_m, even, span, wanted_m
 ):
-    result = np.empty(len(wanted))
-    for i in range(len(wanted)):
+    result = np.empty(len(wanted_m))
+    for i in range(len(wanted_m)):
         k = span[i]
         p = piece[k]
         low, high = begin_u[k], end_u[k]
-        rest, whole = wanted[i] - begin_m[k], begin_m[k + 1] - begin_m[k]
-        share = min(1.0, max(0.0, rest / whole)) if whole > 0.0 else 0.0
-        u = low + share * (high - low)
+        in_span_m, span_m = wanted_m[i] - begin_m[k], begin_m[k + 1] - begin_m[k]
+        span_share = min(1.0, max(0.0, in_span_m / span_m)) if span_m > 0.0 else 0.0
+        u = low + span_share * (high - low)
         if even[p]:
             result[i] = u
             continue
         start = low
         for _ in range(_MAX_ITERATIONS):
-            half, middle = 0.5 * (u - start), 0.5 * (u + start)
+            half_u, middle_u = 0.5 * (u - start), 0.5 * (u + start)
             length = 0.0
             for n in range(len(NODES)):
                 length += WEIGHTS[n] * _speed(
-                    top[p], bottom[p], begin_rad[p], sweep_rad[p], middle + half * NODES[n]
+                    top[p], bottom[p], begin_rad[p], sweep_rad[p], middle_u + half_u * NODES[n]
                 )
-            error = half * length - rest
+            error = half_u * length - in_span_m
             if error > 0.0:
                 high = u
             else:
@@ -90,12 +90,12 @@ def _invert(  # type: ignore[no-untyped-def]
             if abs(error) <= _TOLERANCE_M or high - low <= 0.0:
                 break
             speed = _speed(top[p], bottom[p], begin_rad[p], sweep_rad[p], u)
-            fresh = u - error / speed if speed > 0.0 else low - 1.0
-            if not low <= fresh <= high:
-                fresh = 0.5 * (low + high)
-            if fresh == u:
+            next_u = u - error / speed if speed > 0.0 else low - 1.0
+            if not low <= next_u <= high:
+                next_u = 0.5 * (low + high)
+            if next_u == u:
                 break
-            u = fresh
+            u = next_u
         result[i] = u
     return result
 
@@ -148,18 +148,18 @@ class ArcTable:
         parameter. Lengths outside of the curve are clamped to its ends.
         """
         # For a few lengths np.clip takes three times as long as both of these calls.
-        wanted = np.maximum(np.asarray(length_m, dtype=np.float64), 0.0)
-        wanted = np.minimum(wanted, self.length_m)
-        span = np.searchsorted(self.begin_m, wanted, side="right") - 1
-        span = np.minimum(np.maximum(span, 0), len(self.piece) - 1)
+        wanted_m = np.maximum(np.asarray(length_m, dtype=np.float64), 0.0)
+        wanted_m = np.minimum(wanted_m, self.length_m)
+        span_index = np.searchsorted(self.begin_m, wanted_m, side="right") - 1
+        span_index = np.minimum(np.maximum(span_index, 0), len(self.piece) - 1)
         p = self.pieces
         u = invert(
             (p.top, p.bottom, p.begin_rad, p.sweep_rad),
             (self.piece, self.begin_u, self.end_u, self.begin_m, self.even),
-            span,
-            wanted,
+            span_index,
+            wanted_m,
         )
-        return self.piece[span], u
+        return self.piece[span_index], u
 
     def points(self, length_m: FloatArray) -> FloatArray:
         """Return the (m, 2) points at ``length_m`` along the curve, m."""
@@ -170,21 +170,21 @@ class ArcTable:
         _, first, second = self.pieces.evaluate(*self.locate(length_m), derivative=2)
         speed = np.hypot(*first.T)
         cross = first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]
-        bend = np.zeros_like(cross)
-        np.divide(cross, speed**3, out=bend, where=speed > 0.0)
-        return bend
+        curvature = np.zeros_like(cross)
+        np.divide(cross, speed**3, out=curvature, where=speed > 0.0)
+        return curvature
 
 
 def span_lengths(
     pieces: Pieces, piece: IntArray, begin_u: FloatArray, end_u: FloatArray
 ) -> FloatArray:
     """Return the (m,) lengths of pieces from ``begin_u`` to ``end_u``, by one quadrature each."""
-    half = 0.5 * (end_u - begin_u)
-    nodes = (0.5 * (begin_u + end_u))[:, None] + half[:, None] * NODES
-    flat = np.repeat(piece, len(NODES))
-    tangent = pieces.evaluate(flat, nodes.ravel(), 1)[1]
-    speed = np.hypot(*tangent.T).reshape(nodes.shape)
-    return np.asarray(half * (speed @ WEIGHTS))
+    half_u = 0.5 * (end_u - begin_u)
+    node_u = (0.5 * (begin_u + end_u))[:, None] + half_u[:, None] * NODES
+    node_piece = np.repeat(piece, len(NODES))
+    tangent = pieces.evaluate(node_piece, node_u.ravel(), 1)[1]
+    speed = np.hypot(*tangent.T).reshape(node_u.shape)
+    return np.asarray(half_u * (speed @ WEIGHTS))
 
 
 def arc_table(pieces: Pieces) -> ArcTable:
@@ -196,16 +196,20 @@ def arc_table(pieces: Pieces) -> ArcTable:
     halves; a span is halved until both agree within 1e-12 m (or rounding). Lengths of chords and
     circles are exact.
     """
-    found: list[tuple[IntArray, FloatArray, FloatArray, FloatArray]] = []
+    columns: list[tuple[IntArray, FloatArray, FloatArray, FloatArray]] = []
     even = pieces.is_line | pieces.is_circle
-    flat, curved = np.flatnonzero(even), np.flatnonzero(~even)
-    straight = np.hypot(*pieces.top[flat, 1].T)
-    straight *= np.where(pieces.sweep_rad[flat] == 0.0, 1.0, np.abs(pieces.sweep_rad[flat]))
-    found.append((flat, np.zeros(len(flat)), np.ones(len(flat)), straight))
-    for start in range(0, len(curved), _CHUNK // 8):
-        index = curved[start : start + _CHUNK // 8]
-        found.extend(_refine(pieces, index))
-    piece, begin, end, length = (np.concatenate(column) for column in zip(*found, strict=True))
+    even_pieces, curved_pieces = np.flatnonzero(even), np.flatnonzero(~even)
+    even_length_m = np.hypot(*pieces.top[even_pieces, 1].T)
+    even_length_m *= np.where(
+        pieces.sweep_rad[even_pieces] == 0.0, 1.0, np.abs(pieces.sweep_rad[even_pieces])
+    )
+    columns.append(
+        (even_pieces, np.zeros(len(even_pieces)), np.ones(len(even_pieces)), even_length_m)
+    )
+    for start in range(0, len(curved_pieces), _CHUNK // 8):
+        index = curved_pieces[start : start + _CHUNK // 8]
+        columns.extend(_refine(pieces, index))
+    piece, begin, end, length = (np.concatenate(column) for column in zip(*columns, strict=True))
     order = np.lexsort((begin, piece))
     total = np.cumsum(length[order].astype(np.longdouble)).astype(np.float64)
     if not pieces.top.flags.c_contiguous:  # for instance for a reversed curve
@@ -222,27 +226,29 @@ def arc_table(pieces: Pieces) -> ArcTable:
 
 
 def _refine(
-    pieces: Pieces, index: IntArray
+    pieces: Pieces, piece: IntArray
 ) -> list[tuple[IntArray, FloatArray, FloatArray, FloatArray]]:
-    begin, end = np.zeros(len(index)), np.ones(len(index))
-    length = span_lengths(pieces, index, begin, end)
-    done = []
+    begin, end = np.zeros(len(piece)), np.ones(len(piece))
+    length = span_lengths(pieces, piece, begin, end)
+    accepted = []
     for depth in range(_MAX_HALVINGS + 1):
-        middle = 0.5 * (begin + end)
-        first = span_lengths(pieces, index, begin, middle)
-        second = span_lengths(pieces, index, middle, end)
+        middle_u = 0.5 * (begin + end)
+        first = span_lengths(pieces, piece, begin, middle_u)
+        second = span_lengths(pieces, piece, middle_u, end)
         error = np.abs(first + second - length)
-        good = error <= np.maximum(TOLERANCE_M, 1e-15 * length)
+        accurate = error <= np.maximum(TOLERANCE_M, 1e-15 * length)
         if depth == _MAX_HALVINGS:
-            good[:] = True  # the span is shorter than 1e-14 of its piece: a cusp
-        done.append((index[good], begin[good], end[good], (first + second)[good]))
-        if good.all():
-            break
-        bad = ~good
-        index = np.tile(index[bad], 2)
-        length = np.concatenate([first[bad], second[bad]])
-        begin, end = (
-            np.concatenate([begin[bad], middle[bad]]),
-            np.concatenate([middle[bad], end[bad]]),
+            accurate[:] = True  # the span is shorter than 1e-14 of its piece: a cusp
+        accepted.append(
+            (piece[accurate], begin[accurate], end[accurate], (first + second)[accurate])
         )
-    return done
+        if accurate.all():
+            break
+        inaccurate = ~accurate
+        piece = np.tile(piece[inaccurate], 2)
+        length = np.concatenate([first[inaccurate], second[inaccurate]])
+        begin, end = (
+            np.concatenate([begin[inaccurate], middle_u[inaccurate]]),
+            np.concatenate([middle_u[inaccurate], end[inaccurate]]),
+        )
+    return accepted

@@ -65,10 +65,11 @@ def centre_segment(
     if turn not in TURNS:
         raise ValueError(f"an arc around a centre turns 'ccw' or 'cw', got {turn!r}")
     a, b = begin - centre, end - centre
-    radius, other = math.hypot(*a), math.hypot(*b)
-    if radius == 0.0 or abs(radius - other) > RADIUS_SLACK_M:
+    radius, end_radius = math.hypot(*a), math.hypot(*b)
+    if radius == 0.0 or abs(radius - end_radius) > RADIUS_SLACK_M:
         raise ValueError(
-            f"the arc begins {radius * 1e3:.6g} mm and ends {other * 1e3:.6g} mm from its centre"
+            f"the arc begins {radius * 1e3:.6g} mm and ends {end_radius * 1e3:.6g} mm from its "
+            "centre"
         )
     sweep = math.atan2(a[0] * b[1] - a[1] * b[0], float(a @ b))
     if turn == "ccw" and sweep <= 0.0:
@@ -91,15 +92,16 @@ def radius_segment(
         If the ends are further apart than the diameter, or coincide.
     """
     chord = end - begin
-    apart = math.hypot(*chord)
-    if not 0.0 < apart <= 2.0 * radius_m * (1.0 + 1e-12):
+    chord_m = math.hypot(*chord)
+    if not 0.0 < chord_m <= 2.0 * radius_m * (1.0 + 1e-12):
         raise ValueError(
-            f"ends {apart * 1e3:.6g} mm apart are not on a circle of radius {radius_m * 1e3:.6g} mm"
+            f"ends {chord_m * 1e3:.6g} mm apart are not on a circle of radius "
+            f"{radius_m * 1e3:.6g} mm"
         )
-    rise = math.sqrt(max(0.0, radius_m**2 - apart**2 / 4.0))
-    left = np.array([-chord[1], chord[0]]) / apart
+    rise_m = math.sqrt(max(0.0, radius_m**2 - chord_m**2 / 4.0))
+    left_normal = np.array([-chord[1], chord[0]]) / chord_m
     side = 1.0 if (turn == "ccw") != large else -1.0
-    return centre_segment(begin, end, begin + chord / 2.0 + side * rise * left, turn, line)
+    return centre_segment(begin, end, begin + chord / 2.0 + side * rise_m * left_normal, turn, line)
 
 
 CONTOUR_KEYS = ("layer", "unit", "closed", "points")
@@ -126,25 +128,27 @@ def written_contour(table: dict[str, Any], factor: float, line: int) -> Pieces:
     points = table.get("points", [])
     if not isinstance(points, list) or len(points) < 2:
         raise ValueError("points needs two or more points, like [[0, 0], [10, 0]]")
-    here = first = _pair(points[0]) * factor
+    begin = start = _pair(points[0]) * factor
     parts = []
     for point in points[1:]:
         if not isinstance(point, dict):
             point = {"to": point}  # noqa: PLW2901 - the short form of the same thing
-        there = _pair(point.get("to")) * factor
-        parts.append(_segment(here, there, point, factor, line))
-        here = there
+        end = _pair(point.get("to")) * factor
+        parts.append(_segment(begin, end, point, factor, line))
+        begin = end
     closed = table.get("closed", False)
     if not isinstance(closed, bool):
         raise ValueError(f"closed is {closed!r}, not true or false")
-    if closed and np.hypot(*(here - first)) > 0.0:
-        parts.append(bulge_segment(here, first, 0.0, line))
+    if closed and np.hypot(*(begin - start)) > 0.0:
+        parts.append(bulge_segment(begin, start, 0.0, line))
     return join_pieces(parts)
 
 
 def _pair(value: Any) -> FloatArray:
-    good = isinstance(value, list) and len(value) == 2 and all(_is_number(part) for part in value)
-    if not good:
+    is_pair = (
+        isinstance(value, list) and len(value) == 2 and all(_is_number(part) for part in value)
+    )
+    if not is_pair:
         raise ValueError(f"{value!r} is not a point like [10, 20]")
     return np.array(value, dtype=np.float64)
 
@@ -161,7 +165,7 @@ def _number(point: dict[str, Any], key: str) -> float:
 
 
 def _segment(
-    here: FloatArray, there: FloatArray, point: dict[str, Any], factor: float, line: int
+    begin: FloatArray, end: FloatArray, point: dict[str, Any], factor: float, line: int
 ) -> Pieces:
     unknown = set(point) - set(_POINT)
     if unknown:
@@ -171,16 +175,16 @@ def _segment(
         raise ValueError("an arc is given by its bulge, its centre or its radius, not by two")
     turn = point.get("turn", "ccw")
     if "centre" in point:
-        return centre_segment(here, there, _pair(point["centre"]) * factor, turn, line)
+        return centre_segment(begin, end, _pair(point["centre"]) * factor, turn, line)
     if "radius" in point:
         radius = _number(point, "radius") * factor
-        return radius_segment(here, there, radius, turn, bool(point.get("large", False)), line)
-    return bulge_segment(here, there, _number(point, "bulge"), line)
+        return radius_segment(begin, end, radius, turn, bool(point.get("large", False)), line)
+    return bulge_segment(begin, end, _number(point, "bulge"), line)
 
 
 ZERO_LENGTH_M = 1e-9
-_SAID = 10
-_NEAR = 100.0  # ends up to so many gaps apart are probably meant to meet
+_MAX_WARNINGS = 10
+_NEAR_GAPS = 100.0  # ends up to so many gaps apart are probably meant to meet
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -207,25 +211,25 @@ def drop_zero_lengths(strokes: Sequence[Stroke], file: str) -> tuple[list[Stroke
     pieces = join_pieces([stroke.pieces for stroke in strokes])
     first, last = pieces.ends()
     middle = pieces.evaluate(np.arange(len(pieces)), np.full(len(pieces), 0.5))[0]
-    reach = np.hypot(*(middle - first).T) + np.hypot(*(last - middle).T)
-    bad = np.flatnonzero(~(reach > ZERO_LENGTH_M))
-    if not len(bad):
+    reach_m = np.hypot(*(middle - first).T) + np.hypot(*(last - middle).T)
+    empty = np.flatnonzero(~(reach_m > ZERO_LENGTH_M))
+    if not len(empty):
         return list(strokes), []
     warnings = [
         f"{Place(file, int(pieces.line[k]))}: a segment of length zero at "
         f"{point_text(first[k])} was left out"
-        for k in bad[:_SAID]
+        for k in empty[:_MAX_WARNINGS]
     ]
-    if len(bad) > _SAID:
-        warnings.append(f"{file}: {len(bad)} segments of length zero in all")
+    if len(empty) > _MAX_WARNINGS:
+        warnings.append(f"{file}: {len(empty)} segments of length zero in all")
     counts = [len(stroke.pieces) for stroke in strokes]
     begins = np.concatenate([[0], np.cumsum(counts)])
     kept = list(strokes)
-    owner = np.searchsorted(begins, bad, side="right") - 1
-    for k in reversed(np.unique(owner).tolist()):
-        own = np.setdiff1d(np.arange(counts[k]), bad[owner == k] - begins[k])
-        if len(own):
-            kept[k] = replace(strokes[k], pieces=strokes[k].pieces.take(own))
+    stroke_index = np.searchsorted(begins, empty, side="right") - 1
+    for k in reversed(np.unique(stroke_index).tolist()):
+        kept_pieces = np.setdiff1d(np.arange(counts[k]), empty[stroke_index == k] - begins[k])
+        if len(kept_pieces):
+            kept[k] = replace(strokes[k], pieces=strokes[k].pieces.take(kept_pieces))
         else:
             del kept[k]
     return kept, warnings
@@ -256,14 +260,14 @@ def join_strokes(
     if not strokes:
         return [], []
     begin, end = join_pieces([s.pieces for s in strokes]).ends()
-    after = np.cumsum([len(s.pieces) for s in strokes])
-    first, last = begin[np.concatenate([[0], after[:-1]])], end[after - 1]
-    loop = np.hypot(*(last - first).T) <= gap_m
-    for k in np.flatnonzero(loop).tolist():
+    end_index = np.cumsum([len(s.pieces) for s in strokes])
+    first, last = begin[np.concatenate([[0], end_index[:-1]])], end[end_index - 1]
+    is_loop = np.hypot(*(last - first).T) <= gap_m
+    for k in np.flatnonzero(is_loop).tolist():
         _refuse_short(strokes[k], gap_m, file)
     ends = np.concatenate([first, last])  # end e belongs to stroke e % n; from n on last points
     count = len(strokes)
-    partner = _partners(ends, np.tile(~loop, 2), gap_m, strokes, file)
+    partner = _partners(ends, np.tile(~is_loop, 2), gap_m, strokes, file)
     warnings = _gap_warnings(ends, partner, strokes, file)
     contours, used = [], np.zeros(count, dtype=bool)
     for k in range(count):
@@ -277,7 +281,7 @@ def join_strokes(
         ]
         contour = Contour(
             pieces=join_pieces(parts),
-            closed=closed or bool(loop[k]),
+            closed=closed or bool(is_loop[k]),
             layer=strokes[k].layer,
             colour=strokes[k].colour,
         )
@@ -300,16 +304,18 @@ def _partners(
         return partner
     pairs = cKDTree(ends[index]).query_pairs(gap_m, output_type="ndarray")
     for i, j in index[pairs]:
-        for one, other in ((i, j), (j, i)):
-            if partner[one] >= 0:
-                met = sorted({strokes[e % count].line for e in (one, other, partner[one])})
-                which = f" (lines {', '.join(map(str, met))})" if met[0] else ""
+        for this_end, other_end in ((i, j), (j, i)):
+            if partner[this_end] >= 0:
+                meeting_lines = sorted(
+                    {strokes[e % count].line for e in (this_end, other_end, partner[this_end])}
+                )
+                where = f" (lines {', '.join(map(str, meeting_lines))})" if meeting_lines[0] else ""
                 raise JobError(
-                    f"three or more ends meet at {point_text(ends[one])}{which}",
-                    place=Place(file, strokes[one % count].line),
+                    f"three or more ends meet at {point_text(ends[this_end])}{where}",
+                    place=Place(file, strokes[this_end % count].line),
                     remedy="Delete lines drawn twice, or put the branches on layers of their own.",
                 )
-            partner[one] = other
+            partner[this_end] = other_end
     return partner
 
 
@@ -318,43 +324,44 @@ def _walk(start: int, partner: IntArray, count: int) -> tuple[list[tuple[int, bo
     chain = [(start, False)]
     end = start + count
     while partner[end] >= 0:
-        entered = int(partner[end])
-        if entered % count == start:
+        met_end = int(partner[end])
+        if met_end % count == start:
             return chain, True
-        chain.append((entered % count, entered >= count))
-        end = entered - count if entered >= count else entered + count
-    before: list[tuple[int, bool]] = []
+        chain.append((met_end % count, met_end >= count))
+        end = met_end - count if met_end >= count else met_end + count
+    chain_before: list[tuple[int, bool]] = []
     end = start
     while partner[end] >= 0:
-        entered = int(partner[end])
-        before.append((entered % count, entered < count))
-        end = entered - count if entered >= count else entered + count
-    return before[::-1] + chain, False
+        met_end = int(partner[end])
+        chain_before.append((met_end % count, met_end < count))
+        end = met_end - count if met_end >= count else met_end + count
+    return chain_before[::-1] + chain, False
 
 
 def _gap_warnings(
     ends: FloatArray, partner: IntArray, strokes: Sequence[Stroke], file: str
 ) -> list[str]:
-    met = np.flatnonzero(partner > np.arange(len(partner)))
-    gaps = np.hypot(*(ends[met] - ends[partner[met]]).T)
-    wide = met[gaps > ZERO_LENGTH_M]
+    joined_ends = np.flatnonzero(partner > np.arange(len(partner)))
+    gaps_m = np.hypot(*(ends[joined_ends] - ends[partner[joined_ends]]).T)
+    wide = joined_ends[gaps_m > ZERO_LENGTH_M]
     if not len(wide):
         return []
-    worst = met[int(np.argmax(gaps))]
-    place = Place(file, strokes[worst % len(strokes)].line)
+    widest = joined_ends[int(np.argmax(gaps_m))]
+    place = Place(file, strokes[widest % len(strokes)].line)
     return [
         f"{place}: {len(wide)} gaps between strokes were passed over, the widest of "
-        f"{gaps.max() * 1e3:.3g} mm at {point_text(ends[worst])}"
+        f"{gaps_m.max() * 1e3:.3g} mm at {point_text(ends[widest])}"
     ]
 
 
 def _open_warning(contour: Contour, gap_m: float, file: str) -> list[str]:
     begin, end = contour.pieces.ends()[0][0], contour.pieces.ends()[1][-1]
-    apart = float(np.hypot(*(end - begin)))
-    if apart > _NEAR * gap_m:
+    opening_m = float(np.hypot(*(end - begin)))
+    if opening_m > _NEAR_GAPS * gap_m:
         return []
     return [
-        f"{Place(file, int(contour.pieces.line[0]))}: the contour is open by {apart * 1e3:.3g} mm "
+        f"{Place(file, int(contour.pieces.line[0]))}: the contour is open by "
+        f"{opening_m * 1e3:.3g} mm "
         f"at {point_text(begin)}; a gap of {gap_m * 1e3:.3g} mm counts as closed"
     ]
 

@@ -80,17 +80,17 @@ class Pieces:
         tuple of FloatArray
             ``derivative + 1`` arrays (m, 2), m.
         """
-        trig = self.sweep_rad[piece] != 0.0
-        if not trig.any():
+        is_arc = self.sweep_rad[piece] != 0.0
+        if not is_arc.any():
             return tuple(self._polynomial(piece, u, derivative))
         result = [np.empty((len(piece), 2)) for _ in range(derivative + 1)]
-        for out, part in zip(result, self._arc(piece[trig], u[trig]), strict=False):
-            out[trig] = part
-        if not trig.all():
-            plain = ~trig
-            parts = self._polynomial(piece[plain], u[plain], derivative)
-            for out, part in zip(result, parts, strict=True):
-                out[plain] = part
+        for target, part in zip(result, self._arc(piece[is_arc], u[is_arc]), strict=False):
+            target[is_arc] = part
+        if not is_arc.all():
+            is_polynomial = ~is_arc
+            parts = self._polynomial(piece[is_polynomial], u[is_polynomial], derivative)
+            for target, part in zip(result, parts, strict=True):
+                target[is_polynomial] = part
         return tuple(result)
 
     def _arc(self, piece: IntArray, u: FloatArray) -> tuple[FloatArray, ...]:
@@ -133,17 +133,20 @@ class Pieces:
             tangent = self.top[:, 1] / np.maximum(np.hypot(*self.top[:, 1].T), 1e-300)[:, None]
             return tangent, tangent
         index = np.arange(len(self))
-        found = []
+        directions = []
         for end, sign in ((0.0, 1.0), (1.0, -1.0)):
             u = np.full(len(self), end)
-            here, tangent = self.evaluate(index, u, 1)
-            size = np.hypot(*tangent.T)
+            point, tangent = self.evaluate(index, u, 1)
+            norm = np.hypot(*tangent.T)
             inside = self.evaluate(index, u + sign * 1e-4)[0]
-            step = sign * (inside - here)
-            weak = size * 1e-4 < 1e-3 * np.hypot(*step.T)
-            tangent[weak], size[weak] = step[weak], np.hypot(*step[weak].T)
-            found.append(tangent / np.maximum(size, 1e-300)[:, None])
-        return found[0], found[1]
+            step = sign * (inside - point)
+            is_degenerate = norm * 1e-4 < 1e-3 * np.hypot(*step.T)
+            tangent[is_degenerate], norm[is_degenerate] = (
+                step[is_degenerate],
+                np.hypot(*step[is_degenerate].T),
+            )
+            directions.append(tangent / np.maximum(norm, 1e-300)[:, None])
+        return directions[0], directions[1]
 
     def take(self, index: IntArray) -> Pieces:
         """Return the pieces at ``index``, in that order."""
@@ -158,9 +161,9 @@ class Pieces:
     def transform(self, matrix: FloatArray, offset: FloatArray) -> Pieces:
         """Return the pieces mapped by ``matrix @ point + offset``, shapes (2, 2) and (2,)."""
         top = self.top @ np.asarray(matrix).T
-        arc = self.sweep_rad != 0.0
-        top[arc, 0] += offset
-        top[~arc] += self.bottom[~arc][:, :, None] * offset
+        is_arc = self.sweep_rad != 0.0
+        top[is_arc, 0] += offset
+        top[~is_arc] += self.bottom[~is_arc][:, :, None] * offset
         return Pieces(
             top=top,
             bottom=self.bottom,
@@ -172,12 +175,12 @@ class Pieces:
     def reverse(self) -> Pieces:
         """Return the pieces in the opposite order and direction."""
         mirror = _mirror(self.top.shape[1])
-        arc = self.sweep_rad != 0.0
+        is_arc = self.sweep_rad != 0.0
         top = np.einsum("nkd,kj->njd", self.top, mirror)
-        top[arc] = self.top[arc]
+        top[is_arc] = self.top[is_arc]
         return Pieces(
             top=top[::-1],
-            bottom=np.where(arc[:, None], self.bottom, self.bottom @ mirror)[::-1],
+            bottom=np.where(is_arc[:, None], self.bottom, self.bottom @ mirror)[::-1],
             begin_rad=(self.begin_rad + self.sweep_rad)[::-1],
             sweep_rad=-self.sweep_rad[::-1],
             line=self.line[::-1],
@@ -386,11 +389,11 @@ def _insert(
     """Return control points and knots after inserting the knot ``value``."""
     span = int(np.searchsorted(knots, value, side="right")) - 1
     span = min(span, len(points) - 1)
-    fresh = np.empty((len(points) + 1, points.shape[1]))
-    fresh[: span - degree + 1] = points[: span - degree + 1]
-    fresh[span + 1 :] = points[span:]
+    new_points = np.empty((len(points) + 1, points.shape[1]))
+    new_points[: span - degree + 1] = points[: span - degree + 1]
+    new_points[span + 1 :] = points[span:]
     for i in range(span - degree + 1, span + 1):
         width = knots[i + degree] - knots[i]
         share = (value - knots[i]) / width if width > 0.0 else 0.0
-        fresh[i] = share * points[i] + (1.0 - share) * points[i - 1]
-    return fresh, np.insert(knots, span + 1, value)
+        new_points[i] = share * points[i] + (1.0 - share) * points[i - 1]
+    return new_points, np.insert(knots, span + 1, value)

@@ -14,9 +14,9 @@ from threadline.geometry.read_dxf import DxfMessages, entity_lines, load_dxf, me
 from threadline.geometry.strokes import LineStyle, one_line, style_of_linetype
 from threadline.geometry.write_dxf import PATTERNS, Fill
 
-_NEAR = 2.0  # largest distance of a label from the end of its leader, in letter heights
-_MOST_POINTS, _LONGEST = 20_000, 100  # points of a leader, characters of its text
-_ALIKE = 0.02  # largest difference between a fill and its boundary, as a share of the size
+_LABEL_REACH = 2.0  # largest distance of a label from the end of its leader, in letter heights
+_MAX_POINTS, _MAX_LABEL = 20_000, 100  # points of a leader, characters of its text
+_MAX_DIFFERENCE = 0.02  # largest difference between a fill and its boundary, as a share of the size
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -62,16 +62,16 @@ def read_remarks(content: bytes, file: str, most: int) -> tuple[list[Leader], li
     space = document.modelspace()
     try:
         texts = _Texts(space.query("MTEXT"), lines)
-        leaders = [_leader(one, texts, lines, metres) for one in space.query("LEADER")[:most]]
+        leaders = [_leader(remark, texts, lines, metres) for remark in space.query("LEADER")[:most]]
         hatches = space.query("HATCH")[:most]
-        fills = [one for hatch in hatches for one in _fillings(hatch, lines, metres)]
+        fills = [remark for hatch in hatches for remark in _fillings(hatch, lines, metres)]
     except Exception as error:  # damaged entities raise only when they are used
         raise JobError(
             f"not a sound DXF drawing: {one_line(error)}",
             place=Place(file),
             remedy="Save it again as DXF, R2000 or later.",
         ) from error
-    return [one for one in leaders if one is not None], fills[:most]
+    return [remark for remark in leaders if remark is not None], fills[:most]
 
 
 class _Texts:
@@ -82,7 +82,7 @@ class _Texts:
         self._of_handle = {str(text.dxf.handle): text for text in self._texts}
         places = [tuple(text.dxf.insert)[:2] for text in self._texts]
         self._places = np.array(places, dtype=np.float64).reshape(-1, 2)
-        self._reach = np.array([_NEAR * float(text.dxf.char_height) for text in self._texts])
+        self._reach = np.array([_LABEL_REACH * float(text.dxf.char_height) for text in self._texts])
 
     def label(self, leader: Any, end: FloatArray) -> tuple[str, int]:
         """Return the text of a leader and its line in the file.
@@ -92,14 +92,17 @@ class _Texts:
         """
         text = self._of_handle.get(str(leader.dxf.get("annotation_handle", "")))
         if text is None and self._texts:
-            away = np.hypot(*(self._places - end).T)
-            nearest = int(np.argmin(np.where(away <= self._reach, away, np.inf)))
-            near = self._texts[nearest]
-            if away[nearest] <= self._reach[nearest] and near.dxf.layer == leader.dxf.layer:
-                text = near
+            distance = np.hypot(*(self._places - end).T)
+            nearest = int(np.argmin(np.where(distance <= self._reach, distance, np.inf)))
+            candidate = self._texts[nearest]
+            if (
+                distance[nearest] <= self._reach[nearest]
+                and candidate.dxf.layer == leader.dxf.layer
+            ):
+                text = candidate
         if text is None:
             return "", 0
-        return text.plain_text().replace("\n", " ")[:_LONGEST], _line(text, self._lines)
+        return text.plain_text().replace("\n", " ")[:_MAX_LABEL], _line(text, self._lines)
 
 
 def _line(entity: Any, lines: dict[str, int]) -> int:
@@ -108,7 +111,7 @@ def _line(entity: Any, lines: dict[str, int]) -> int:
 
 def _leader(entity: Any, texts: _Texts, lines: dict[str, int], metres: float) -> Leader | None:
     points = np.array([tuple(vertex)[:2] for vertex in entity.vertices], dtype=np.float64)
-    if not 2 <= len(points) <= _MOST_POINTS or not np.isfinite(points).all():
+    if not 2 <= len(points) <= _MAX_POINTS or not np.isfinite(points).all():
         return None
     label, line = texts.label(entity, points[-1])
     layers, name = entity.doc.layers, entity.dxf.layer
@@ -149,13 +152,15 @@ def filled_by(ring: FloatArray, measured: FloatArray) -> int | None:
         (m, 5) result of ``measured_rings`` for the candidates. Only extents and area are compared,
         because curves may be divided into different chords.
     """
-    (ours,) = measured_rings([ring])
-    size = float(np.hypot(*(ours[2:4] - ours[:2])))
+    (measures,) = measured_rings([ring])
+    size = float(np.hypot(*(measures[2:4] - measures[:2])))
     if size == 0.0 or not len(measured):
         return None
-    off = np.abs((measured - ours) / np.array([size, size, size, size, size * size])).max(axis=1)
-    best = int(np.argmin(off))
-    return best if off[best] <= _ALIKE else None
+    difference = np.abs(
+        (measured - measures) / np.array([size, size, size, size, size * size])
+    ).max(axis=1)
+    best = int(np.argmin(difference))
+    return best if difference[best] <= _MAX_DIFFERENCE else None
 
 
 def measured_rings(rings: Sequence[FloatArray]) -> FloatArray:

@@ -52,47 +52,53 @@ def sharpen(
     points, labels
         (n + 1, 2) points of the offset, and (n,) the index in the raw chain of each of its chords.
     """
-    whole = _whole(points, labels, mitres)
+    rounds = _complete_rounds(points, labels, mitres)
     while True:
-        sharp, names, owner = _replace(points, labels, whole)
-        first, second, *_ = crossings(sharp[:-1], sharp[1:], closed)
-        guilty = set(owner[np.concatenate([first, second])].tolist()) - {-1}
-        if not guilty:
-            return sharp, names
-        whole = [found for k, found in enumerate(whole) if k not in guilty]
+        sharp_points, sharp_labels, mitre_of_chord = _with_mitres(points, labels, rounds)
+        first, second, *_ = crossings(sharp_points[:-1], sharp_points[1:], closed)
+        crossing_mitres = set(mitre_of_chord[np.concatenate([first, second])].tolist()) - {-1}
+        if not crossing_mitres:
+            return sharp_points, sharp_labels
+        rounds = [
+            complete_round for k, complete_round in enumerate(rounds) if k not in crossing_mitres
+        ]
 
 
-def _whole(
+def _complete_rounds(
     points: FloatArray, labels: IntArray, mitres: Sequence[Mitre]
 ) -> list[tuple[int, int, Mitre]]:
     """Return the first and last chord of every complete round, with its mitre."""
-    at = {int(label): k for k, label in enumerate(labels)}
-    found = []
+    chord_of_label = {int(label): k for k, label in enumerate(labels)}
+    rounds = []
     for mitre in mitres:
-        i, j = at.get(mitre.first), at.get(mitre.last)
+        i, j = chord_of_label.get(mitre.first), chord_of_label.get(mitre.last)
         if i is None or j is None or j - i != mitre.last - mitre.first:
             continue
-        ends = np.hypot(*(points[i] - mitre.begin)), np.hypot(*(points[j + 1] - mitre.end))
-        if max(ends) < _SAME_M:
-            found.append((i, j, mitre))
-    return sorted(found, key=lambda item: item[0])
+        gaps_m = np.hypot(*(points[i] - mitre.begin)), np.hypot(*(points[j + 1] - mitre.end))
+        if max(gaps_m) < _SAME_M:
+            rounds.append((i, j, mitre))
+    return sorted(rounds, key=lambda item: item[0])
 
 
-def _replace(
-    points: FloatArray, labels: IntArray, whole: list[tuple[int, int, Mitre]]
+def _with_mitres(
+    points: FloatArray, labels: IntArray, rounds: list[tuple[int, int, Mitre]]
 ) -> tuple[FloatArray, IntArray, IntArray]:
     """Return points, labels, and the index of the mitre of each chord, -1 for none."""
-    parts, names, owner = [], [], []
+    point_parts, label_parts, mitre_parts = [], [], []
     last = 0
-    for k, (i, j, mitre) in enumerate(whole):
-        parts += [points[last : i + 1], mitre.apex[None]]
-        names += [labels[last:i], labels[[i, j]]]
-        owner += [np.full(i - last, -1), np.full(2, k)]
+    for k, (i, j, mitre) in enumerate(rounds):
+        point_parts += [points[last : i + 1], mitre.apex[None]]
+        label_parts += [labels[last:i], labels[[i, j]]]
+        mitre_parts += [np.full(i - last, -1), np.full(2, k)]
         last = j + 1
-    parts.append(points[last:])
-    names.append(labels[last:])
-    owner.append(np.full(len(labels) - last, -1))
-    return (np.concatenate(parts), np.concatenate(names), np.concatenate(owner).astype(np.int64))
+    point_parts.append(points[last:])
+    label_parts.append(labels[last:])
+    mitre_parts.append(np.full(len(labels) - last, -1))
+    return (
+        np.concatenate(point_parts),
+        np.concatenate(label_parts),
+        np.concatenate(mitre_parts).astype(np.int64),
+    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -136,37 +142,43 @@ def stitch_parts(
     """
     first, second, at_first, at_second = cuts
     chord = np.concatenate([first, second]).astype(np.int64)
-    at = np.concatenate([at_first, at_second])
-    name = np.tile(np.arange(len(first)), 2)
-    order = np.lexsort((at, chord))
-    chord, at, name = chord[order], at[order], name[order]
+    share = np.concatenate([at_first, at_second])
+    crossing = np.tile(np.arange(len(first)), 2)
+    order = np.lexsort((share, chord))
+    chord, share, crossing = chord[order], share[order], crossing[order]
     if not len(chord):
         ends = (0, 0) if closed else (-1, -2)
         return [Part(points=chain, labels=labels, begin=ends[0], end=ends[1])]
-    places = chain[chord] + at[:, None] * (chain[chord + 1] - chain[chord])
+    crossing_points = chain[chord] + share[:, None] * (chain[chord + 1] - chain[chord])
     parts = []
     for k in range(len(chord) - 1):
         inner = slice(chord[k] + 1, chord[k + 1] + 1)
-        points = np.concatenate([places[k : k + 1], chain[inner], places[k + 1 : k + 2]])
-        names = labels[chord[k] : chord[k + 1] + 1]
-        parts.append(Part(points=points, labels=names, begin=int(name[k]), end=int(name[k + 1])))
-    head = np.concatenate([chain[: chord[0] + 1], places[:1]])
-    tail = np.concatenate([places[-1:], chain[chord[-1] + 1 :]])
+        points = np.concatenate(
+            [crossing_points[k : k + 1], chain[inner], crossing_points[k + 1 : k + 2]]
+        )
+        part_labels = labels[chord[k] : chord[k + 1] + 1]
+        parts.append(
+            Part(
+                points=points, labels=part_labels, begin=int(crossing[k]), end=int(crossing[k + 1])
+            )
+        )
+    head = np.concatenate([chain[: chord[0] + 1], crossing_points[:1]])
+    tail = np.concatenate([crossing_points[-1:], chain[chord[-1] + 1 :]])
     head_labels, tail_labels = labels[: chord[0] + 1], labels[chord[-1] :]
     if closed:
         parts.append(
             Part(
                 points=np.concatenate([tail, head[1:]]),
                 labels=np.concatenate([tail_labels, head_labels]),
-                begin=int(name[-1]),
-                end=int(name[0]),
+                begin=int(crossing[-1]),
+                end=int(crossing[0]),
             )
         )
         return parts
     return [
-        Part(points=head, labels=head_labels, begin=-1, end=int(name[0])),
+        Part(points=head, labels=head_labels, begin=-1, end=int(crossing[0])),
         *parts,
-        Part(points=tail, labels=tail_labels, begin=int(name[-1]), end=-2),
+        Part(points=tail, labels=tail_labels, begin=int(crossing[-1]), end=-2),
     ]
 
 
@@ -180,7 +192,7 @@ def clear_of(
 
 @njit()
 def _clear_of(probes, begin, end, distance_m):  # type: ignore[no-untyped-def]
-    limit = distance_m * distance_m
+    limit2_m2 = distance_m * distance_m
     clear = np.ones(len(probes), dtype=np.bool_)
     for i in range(len(probes)):
         px, py = probes[i, 0], probes[i, 1]
@@ -190,7 +202,7 @@ def _clear_of(probes, begin, end, distance_m):  # type: ignore[no-untyped-def]
             along = (qx * dx + qy * dy) / (dx * dx + dy * dy)
             along = min(1.0, max(0.0, along))
             ex, ey = qx - along * dx, qy - along * dy
-            if ex * ex + ey * ey < limit:
+            if ex * ex + ey * ey < limit2_m2:
                 clear[i] = False
                 break
     return clear
@@ -260,10 +272,12 @@ def offset_contour(contour: Contour, allowance: Allowance, file: str) -> list[Co
     signed_m = _side(points, contour.closed, allowance, place) * distance_m
     first, last = contour.pieces.end_directions()
     tangents = None if contour.closed else (first[0], last[-1])
-    raw, chord, mitres = _raw_offset(points, tangents, signed_m, allowance)
+    raw_points, source_chord, mitres = _raw_offset(points, tangents, signed_m, allowance)
     parts = [
-        (*sharpen(line, labels, closed, mitres), closed)
-        for line, labels, closed in _valid_parts(raw, points, contour.closed, distance_m)
+        (*sharpen(part_points, labels, closed, mitres), closed)
+        for part_points, labels, closed in _valid_parts(
+            raw_points, points, contour.closed, distance_m
+        )
     ]
     if not parts:
         raise JobError(
@@ -273,12 +287,12 @@ def offset_contour(contour: Contour, allowance: Allowance, file: str) -> list[Co
         )
     return [
         Contour(
-            pieces=chords(line, lines[chord[labels]]),
+            pieces=chords(part_points, lines[source_chord[labels]]),
             closed=closed,
             layer=contour.layer,
             colour=contour.colour,
         )
-        for line, labels, closed in parts
+        for part_points, labels, closed in parts
     ]
 
 
@@ -325,67 +339,73 @@ def _raw_offset(
     shift = signed_m * np.column_stack([-direction[:, 1], direction[:, 0]])
     count = len(direction)
     chain: list[FloatArray] = []
-    owner: list[int] = []
+    source_chord: list[int] = []
     mitres: list[Mitre] = []
 
     def add(point: FloatArray, chord: int) -> None:
         chain.append(point)
-        owner.append(chord)
+        source_chord.append(chord)
 
-    def end(point: FloatArray, tangent: FloatArray, chord: FloatArray) -> FloatArray:
+    def open_end(point: FloatArray, tangent: FloatArray, chord: FloatArray) -> FloatArray:
         # The end lies on the moved chord, perpendicular to the curve, whose tangent differs from
         # the direction of the chord.
         normal = signed_m * np.array([-tangent[1], tangent[0]])
         return np.asarray(point + normal * signed_m**2 / float(normal @ chord))
 
     if tangents is not None:
-        add(end(points[0], tangents[0], shift[0]), 0)
+        add(open_end(points[0], tangents[0], shift[0]), 0)
     for k in range(0 if closed else 1, count):
-        before, corner = (k - 1) % count, points[k]
-        d1, d2 = direction[before], direction[k]
+        previous, corner = (k - 1) % count, points[k]
+        d1, d2 = direction[previous], direction[k]
         turn = math.atan2(d1[0] * d2[1] - d1[1] * d2[0], float(d1 @ d2))
-        found = _corner(corner, shift[before], shift[k], turn, signed_m)
-        sharp = allowance.join == "mitre" and allowance.mitre_limit * math.cos(turn / 2.0) >= 1.0
-        if len(found) > 1 and turn * signed_m < 0.0 and sharp:
+        corner_points = _corner(corner, shift[previous], shift[k], turn, signed_m)
+        is_mitred = (
+            allowance.join == "mitre" and allowance.mitre_limit * math.cos(turn / 2.0) >= 1.0
+        )
+        if len(corner_points) > 1 and turn * signed_m < 0.0 and is_mitred:
             first = len(chain)
             mitres.append(
                 Mitre(
                     first=first,
-                    last=first + len(found) - 2,
-                    begin=found[0],
-                    apex=corner + (shift[before] + shift[k]) / 2.0 / math.cos(turn / 2.0) ** 2,
-                    end=found[-1],
+                    last=first + len(corner_points) - 2,
+                    begin=corner_points[0],
+                    apex=corner + (shift[previous] + shift[k]) / 2.0 / math.cos(turn / 2.0) ** 2,
+                    end=corner_points[-1],
                 )
             )
-        for point in found:
+        for point in corner_points:
             add(point, k)
     if tangents is None:
         add(chain[0], 0)
     else:
-        add(end(points[-1], tangents[1], shift[-1]), count - 1)
-    return np.array(chain), np.array(owner[:-1]), mitres
+        add(open_end(points[-1], tangents[1], shift[-1]), count - 1)
+    return np.array(chain), np.array(source_chord[:-1]), mitres
 
 
 def _corner(
-    corner: FloatArray, before: FloatArray, after: FloatArray, turn: float, signed_m: float
+    corner: FloatArray,
+    shift_before: FloatArray,
+    shift_after: FloatArray,
+    turn: float,
+    signed_m: float,
 ) -> list[FloatArray]:
-    """Return the points of the chain at a vertex; ``before`` and ``after`` are the two shifts."""
-    inner = turn * signed_m > 0.0
+    """Return the points of the chain at a vertex between two shifted chords."""
+    is_inner = turn * signed_m > 0.0
     mitre = 1.0 / max(math.cos(turn / 2.0), 1e-9)
-    if inner and abs(turn) > _SLIGHT_RAD:
+    if is_inner and abs(turn) > _SLIGHT_RAD:
         # An inner corner goes through the vertex, so that the overlap is too close and is removed.
-        return [corner + before, corner, corner + after]
-    if inner or abs(signed_m) * (mitre - 1.0) <= _ROUND_M:
-        return [corner + (before + after) / 2.0 * mitre**2]
+        return [corner + shift_before, corner, corner + shift_after]
+    if is_inner or abs(signed_m) * (mitre - 1.0) <= _ROUND_M:
+        return [corner + (shift_before + shift_after) / 2.0 * mitre**2]
     radius = abs(signed_m)
     step = 2.0 * math.acos(radius / (radius + _ROUND_M))
     parts = math.ceil(abs(turn) / step)
     angles = turn * (np.arange(parts) + 0.5) / parts  # corners of a circumscribed polygon
-    grow = 1.0 / math.cos(turn / parts / 2.0)
-    cosine, sine = np.cos(angles) * grow, np.sin(angles) * grow
-    x = corner[0] + before[0] * cosine - before[1] * sine
-    y = corner[1] + before[0] * sine + before[1] * cosine
-    return [corner + before, *np.column_stack([x, y]), corner + after]
+    scale = 1.0 / math.cos(turn / parts / 2.0)
+    cosine, sine = np.cos(angles) * scale, np.sin(angles) * scale
+    x = corner[0] + shift_before[0] * cosine - shift_before[1] * sine
+    y = corner[1] + shift_before[0] * sine + shift_before[1] * cosine
+    return [corner + shift_before, *np.column_stack([x, y]), corner + shift_after]
 
 
 def _valid_parts(
@@ -399,9 +419,9 @@ def _valid_parts(
     first, second, at_first, at_second, _ = crossings(raw[:-1], raw[1:], closed)
     parts = stitch_parts(raw, np.arange(len(raw) - 1), closed, (first, second, at_first, at_second))
     probes = np.array([part.probe for part in parts])
-    good = clear_of(probes, points[:-1], points[1:], distance_m - 1e-9)
-    kept = [part for part, ok in zip(parts, good, strict=True) if ok]
-    found = []
+    is_clear = clear_of(probes, points[:-1], points[1:], distance_m - 1e-9)
+    kept = [part for part, clear in zip(parts, is_clear, strict=True) if clear]
+    outlines = []
     unused = dict(enumerate(kept))
     starts: dict[int, list[int]] = {}
     for k, part in unused.items():
@@ -418,9 +438,9 @@ def _valid_parts(
             chain.append(unused.pop(following[0]))
         joined = np.concatenate([chain[0].points, *(part.points[1:] for part in chain[1:])])
         labels = np.concatenate([part.labels for part in chain])
-        step = np.hypot(*np.diff(joined, axis=0).T) > 1e-10
-        joined = np.concatenate([joined[:1], joined[1:][step]])
-        loops = bool(np.hypot(*(joined[-1] - joined[0])) < 1e-9) and len(joined) > 3
-        if len(joined) > 1 and (loops or not closed):
-            found.append((joined, labels[step], loops))
-    return found
+        has_length = np.hypot(*np.diff(joined, axis=0).T) > 1e-10
+        joined = np.concatenate([joined[:1], joined[1:][has_length]])
+        is_loop = bool(np.hypot(*(joined[-1] - joined[0])) < 1e-9) and len(joined) > 3
+        if len(joined) > 1 and (is_loop or not closed):
+            outlines.append((joined, labels[has_length], is_loop))
+    return outlines

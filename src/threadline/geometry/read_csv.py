@@ -67,8 +67,10 @@ def read_csv(content: bytes, file: str, unit: str | None = None) -> Drawing:
 
 def _rows(text: str, file: str) -> Iterator[tuple[int, list[str], str]]:
     """Yield line number, cells and separator of every row; blank rows have no cells."""
-    head = next((li for li in text.splitlines() if li.strip() and li.strip()[0] != "#"), "")
-    separator = next((s for s in (";", "\t") if s in head), ",")
+    heading_line = next(
+        (line for line in text.splitlines() if line.strip() and line.strip()[0] != "#"), ""
+    )
+    separator = next((s for s in (";", "\t") if s in heading_line), ",")
     reader = csv.reader(text.splitlines(), delimiter=separator)
     started = False
     try:
@@ -83,7 +85,7 @@ def _rows(text: str, file: str) -> Iterator[tuple[int, list[str], str]]:
 
 def _columns(heading: list[str], unit: str | None, place: Place) -> list[tuple[str, float]]:
     """Return the name of every column and its factor to m (or 1)."""
-    found: list[tuple[str, float]] = []
+    columns: list[tuple[str, float]] = []
     for cell in heading:
         match = _COLUMN.fullmatch(cell)
         name = match[1].lower() if match else ""
@@ -95,23 +97,23 @@ def _columns(heading: list[str], unit: str | None, place: Place) -> list[tuple[s
             )
         factor = 1.0
         if name in _LENGTHS:
-            written = match[2] or unit
-            if written is None:
+            column_unit = match[2] or unit
+            if column_unit is None:
                 raise JobError(f"column {name!r} has no unit", place=place, remedy=_EXAMPLE)
             try:
-                factor = unit_factor(written, "m")
+                factor = unit_factor(column_unit, "m")
             except UnitError as error:
                 raise JobError(f"column {name!r}: {error.message}", place=place) from error
-        found.append((name, factor))
-    names = [name for name, _ in found]
+        columns.append((name, factor))
+    names = [name for name, _ in columns]
     if len(set(names)) < len(names):
         raise JobError("two columns have the same name", place=place, remedy=_EXAMPLE)
-    for wanted in ("x", "y"):
-        if wanted not in names:
-            raise JobError(f"no column {wanted!r}", place=place, remedy=_EXAMPLE)
+    for required in ("x", "y"):
+        if required not in names:
+            raise JobError(f"no column {required!r}", place=place, remedy=_EXAMPLE)
     if ("cx" in names) != ("cy" in names) or ("cx" in names) != ("turn" in names):
         raise JobError("an arc by its centre needs the columns cx, cy and turn", place=place)
-    return found
+    return columns
 
 
 def _stroke(
@@ -139,13 +141,13 @@ def _stroke(
         else:
             value[name] = factor * _numbers(name, cells, numbers, separator, file)
     layer = _layer(text.get("layer", [""]), numbers, file)
-    at = np.column_stack([value["x"], value["y"]])
-    _refuse_unfinished(at, numbers, file)
+    points = np.column_stack([value["x"], value["y"]])
+    _refuse_unfinished(points, numbers, file)
     if "cx" in value and np.isfinite(value["cx"]).any():
-        pieces = _arcs(at, value["cx"], value["cy"], text["turn"], numbers, file)
+        pieces = _arcs(points, value["cx"], value["cy"], text["turn"], numbers, file)
     else:
-        bulge = np.nan_to_num(value.get("bulge", np.zeros(len(at))), nan=0.0)
-        pieces = bulges(at, bulge[:-1], np.array(numbers[:-1]))
+        bulge = np.nan_to_num(value.get("bulge", np.zeros(len(points))), nan=0.0)
+        pieces = bulges(points, bulge[:-1], np.array(numbers[:-1]))
     return Stroke(pieces=pieces, layer=layer, colour="none")
 
 
@@ -156,19 +158,19 @@ def _numbers(
     if separator != ",":
         cells = [cell.replace(",", ".") for cell in cells]
     try:
-        found = np.array([cell or "nan" for cell in cells]).astype(np.float64)
+        values = np.array([cell or "nan" for cell in cells]).astype(np.float64)
     except ValueError:
-        found = np.array([_number(cell) for cell in cells])
+        values = np.array([_number(cell) for cell in cells])
     blank = np.array([not cell for cell in cells])
-    bad = np.flatnonzero(~np.isfinite(found) & ~blank)
-    if len(bad):
-        k = int(bad[0])
+    invalid = np.flatnonzero(~np.isfinite(values) & ~blank)
+    if len(invalid):
+        k = int(invalid[0])
         raise JobError(
             f"{name} is {cells[k][:40]!r}, not a finite number",
             place=Place(file, numbers[k]),
             remedy="Correct the row.",
         )
-    return found
+    return values
 
 
 def _number(cell: str) -> float:
@@ -189,8 +191,8 @@ def _layer(layers: list[str], numbers: list[int], file: str) -> str:
     return layers[0]
 
 
-def _refuse_unfinished(at: FloatArray, numbers: list[int], file: str) -> None:
-    blank = np.flatnonzero(np.isnan(at).any(axis=1))
+def _refuse_unfinished(points: FloatArray, numbers: list[int], file: str) -> None:
+    blank = np.flatnonzero(np.isnan(points).any(axis=1))
     if len(blank):
         raise JobError(
             "a point lacks x or y", place=Place(file, numbers[int(blank[0])]), remedy="Fill it in."
@@ -198,18 +200,23 @@ def _refuse_unfinished(at: FloatArray, numbers: list[int], file: str) -> None:
 
 
 def _arcs(
-    at: FloatArray, cx: FloatArray, cy: FloatArray, turns: list[str], numbers: list[int], file: str
+    points: FloatArray,
+    cx: FloatArray,
+    cy: FloatArray,
+    turns: list[str],
+    numbers: list[int],
+    file: str,
 ) -> Pieces:
     parts: list[Pieces] = []
     for k, number in enumerate(numbers[:-1]):
         centre = np.array([cx[k], cy[k]])
         if np.isnan(centre).all():
-            parts.append(chords(at[k : k + 2], number))
+            parts.append(chords(points[k : k + 2], number))
             continue
         if np.isnan(centre).any():
             raise JobError("an arc needs both cx and cy", place=Place(file, number))
         try:
-            parts.append(centre_segment(at[k], at[k + 1], centre, turns[k], number))
+            parts.append(centre_segment(points[k], points[k + 1], centre, turns[k], number))
         except ValueError as error:
             raise JobError(f"the arc is wrong: {error}", place=Place(file, number)) from error
     return join_pieces(parts)

@@ -30,7 +30,10 @@ _TEXTS = ("TEXT", "MTEXT", "ATTRIB", "ATTDEF", "ARCTEXT", "ACAD_PROXY_TEXT")
 _SILENT = ("VIEWPORT", "SEQEND")  # entities of the sheet, not of the drawing
 _MAX_DEPTH = 32
 _TEXT_READ = 200
-_MAX_SAID, _LONGEST_SAID = 5, 200  # most messages of ezdxf's log, and most characters of each
+_MAX_MESSAGES, _MAX_MESSAGE_LENGTH = (
+    5,
+    200,
+)  # most messages of ezdxf's log, and most characters of each
 _BYLAYER, _BYBLOCK = 256, 0
 _SURVEY = 1200.0 / 3937.0  # US survey foot in m
 _METRES = {
@@ -64,14 +67,14 @@ def read_dxf(
     place = Place(file)
     if re.match(rb"AC10\d\d", content):
         raise JobError("this is a DWG file", place=place, remedy="Save the drawing as DXF.")
-    said = DxfMessages()
-    with said.listening():
+    messages = DxfMessages()
+    with messages.listening():
         document = load_dxf(file)
     factor = metres_per_unit(document, unit, place)
     walk = _Walk(file, document, entity_lines(content), most_lines or MAX_LINES)
     root = _Inherited("0", "#ffffff", factor * np.eye(2), np.zeros(2))
     try:
-        with said.listening():
+        with messages.listening():
             _refuse_explosion(document, walk)
             walk.entities(document.modelspace(), root, 0)
     except JobError:
@@ -86,11 +89,11 @@ def read_dxf(
         file=file,
         strokes=tuple(walk.strokes),
         refusals=tuple(walk.refusals),
-        warnings=(*walk.warnings, *(f"{place}: {text}" for text in said.texts)),
+        warnings=(*walk.warnings, *(f"{place}: {text}" for text in messages.texts)),
     )
 
 
-def _beginning_of(entity: Any) -> str:
+def _text_beginning(entity: Any) -> str:
     """Return the beginning of a text; ezdxf needs quadratic time for the whole text."""
     from ezdxf.tools.text import fast_plain_mtext, plain_text
 
@@ -112,7 +115,7 @@ def _refuse_explosion(document: Any, walk: _Walk) -> None:
         for entity in entities:
             total += 1
             if entity.dxftype() == "INSERT":
-                total += max(entity.mcount, 1) * (1 + of_block(entity, open_blocks))
+                total += max(entity.mcount, 1) * (1 + count_block(entity, open_blocks))
             if total > MAX_LINES and not open_blocks:
                 raise JobError(
                     f"the drawing and its blocks make more than {MAX_LINES} entities",
@@ -121,7 +124,7 @@ def _refuse_explosion(document: Any, walk: _Walk) -> None:
                 )
         return total
 
-    def of_block(insert: Any, open_blocks: tuple[str, ...]) -> int:
+    def count_block(insert: Any, open_blocks: tuple[str, ...]) -> int:
         name = str(insert.dxf.name).lower()
         # A block that contains itself is refused later, in ``_insert``.
         if name in open_blocks or len(open_blocks) > _MAX_DEPTH:
@@ -143,21 +146,21 @@ class DxfMessages(logging.Handler):
 
     def emit(self, record: logging.LogRecord) -> None:
         """Keep a message; drop repeated messages and all after the first few."""
-        text = " ".join(record.getMessage().split())[:_LONGEST_SAID]
-        if len(self.texts) < _MAX_SAID and text not in self.texts:
+        text = " ".join(record.getMessage().split())[:_MAX_MESSAGE_LENGTH]
+        if len(self.texts) < _MAX_MESSAGES and text not in self.texts:
             self.texts.append(text)
 
     @contextmanager
     def listening(self) -> Iterator[None]:
         """Collect the messages within the block, and keep them from the terminal."""
-        log = logging.getLogger("ezdxf")
-        before, log.propagate = log.propagate, False
-        log.addHandler(self)
+        logger = logging.getLogger("ezdxf")
+        propagated, logger.propagate = logger.propagate, False
+        logger.addHandler(self)
         try:
             yield
         finally:
-            log.removeHandler(self)
-            log.propagate = before
+            logger.removeHandler(self)
+            logger.propagate = propagated
 
 
 def load_dxf(file: str) -> Any:
@@ -167,10 +170,10 @@ def load_dxf(file: str) -> Any:
     try:
         return readfile(Path(file))
     except Exception as error:  # ezdxf raises many types for a damaged file
-        at = re.search(r"line[: ]+(\d+)", str(error), re.IGNORECASE)
+        line_match = re.search(r"line[: ]+(\d+)", str(error), re.IGNORECASE)
         raise JobError(
             f"not a DXF drawing: {one_line(error)}",
-            place=Place(file, int(at[1]) if at else 0),
+            place=Place(file, int(line_match[1]) if line_match else 0),
             remedy="Save it again as DXF, R2000 or later.",
         ) from error
 
@@ -186,10 +189,10 @@ def metres_per_unit(document: Any, unit: str | None, place: Place) -> float:
             place=place,
             remedy="Save it again as DXF, R2000 or later.",
         ) from None
-    given = None if unit is None else unit_factor(unit, "m")
-    stated = _METRES.get(code)
-    if stated is None:
-        if given is None:
+    given_m = None if unit is None else unit_factor(unit, "m")
+    stated_m = _METRES.get(code)
+    if stated_m is None:
+        if given_m is None:
             raise JobError(
                 "the drawing does not say its unit ($INSUNITS is 0)"
                 if code == 0
@@ -197,15 +200,15 @@ def metres_per_unit(document: Any, unit: str | None, place: Place) -> float:
                 place=place,
                 remedy='Set the unit in the drawing, or write [drawing] unit = "mm".',
             )
-        return given
-    if given is not None and abs(given / stated - 1.0) > 1e-6:
+        return given_m
+    if given_m is not None and abs(given_m / stated_m - 1.0) > 1e-6:
         raise JobError(
-            f"the drawing says that its unit is {stated:g} m ($INSUNITS is {code}), "
+            f"the drawing says that its unit is {stated_m:g} m ($INSUNITS is {code}), "
             f"the seam file says {unit}",
             place=place,
             remedy="Remove the unit from the seam file, or correct the drawing.",
         )
-    return stated
+    return stated_m
 
 
 def entity_lines(content: bytes) -> dict[str, int]:
@@ -266,21 +269,21 @@ class _Walk:
             layer = inherited.layer if layer == "0" else layer
             if self._is_hidden(layer) or self._is_invisible(entity, layer):
                 continue
-            here = replace(
+            properties = replace(
                 inherited,
                 layer=layer,
                 colour=self._colour(entity, layer, inherited),
                 style=style_of_linetype(self.document, entity, self._layer(layer), inherited.style),
             )
             if kind == "INSERT":
-                self._insert(entity, here, depth)
+                self._insert(entity, properties, depth)
             else:
-                self._entity(entity, kind, here)
+                self._entity(entity, kind, properties)
 
-    def _entity(self, entity: Any, kind: str, here: _Inherited) -> None:
+    def _entity(self, entity: Any, kind: str, properties: _Inherited) -> None:
         line = self._line(entity)
         if kind in _TEXTS:
-            self._refuse_text(entity, here)
+            self._refuse_text(entity, properties)
             return
         if kind == "POINT":
             self.warnings.append(f"{Place(self.file, line)}: a POINT was left out")
@@ -288,13 +291,13 @@ class _Walk:
         try:
             pieces = entity_pieces(entity, line)
         except NotFlatError:
-            self._refuse(f"a {kind} is not drawn in the XY plane", here, line, "Flatten it.")
+            self._refuse(f"a {kind} is not drawn in the XY plane", properties, line, "Flatten it.")
             return
         except (ValueError, ArithmeticError) as error:
             raise JobError(f"a {kind} is wrong: {error}", place=Place(self.file, line)) from error
         if pieces is None:
             self._refuse(
-                f"a {kind} cannot be sewn", here, line, "Explode it, or choose other layers."
+                f"a {kind} cannot be sewn", properties, line, "Explode it, or choose other layers."
             )
             return
         if kind == "SPLINE" and len(entity.control_points) == 0:
@@ -308,19 +311,26 @@ class _Walk:
                 place=Place(self.file, line),
                 remedy="Join lines to polylines, or split the drawing.",
             )
-        placed = pieces.transform(here.matrix, here.offset)
+        placed = pieces.transform(properties.matrix, properties.offset)
         self.strokes.append(
-            Stroke(pieces=placed, layer=here.layer, colour=here.colour, style=here.style)
+            Stroke(
+                pieces=placed,
+                layer=properties.layer,
+                colour=properties.colour,
+                style=properties.style,
+            )
         )
 
-    def _insert(self, insert: Any, here: _Inherited, depth: int) -> None:
+    def _insert(self, insert: Any, properties: _Inherited, depth: int) -> None:
         line = self._line(insert)
         place = Place(self.file, line)
         name = str(insert.dxf.name)
         block = insert.block()
         if block is None or block.block.is_xref:
-            what = "is not in the file" if block is None else "lies in another file"
-            self._refuse(f"the block {name[:60]!r} {what}", here, line, "Bind it to the drawing.")
+            reason = "is not in the file" if block is None else "lies in another file"
+            self._refuse(
+                f"the block {name[:60]!r} {reason}", properties, line, "Bind it to the drawing."
+            )
             return
         if depth >= _MAX_DEPTH:
             raise JobError(
@@ -330,22 +340,22 @@ class _Walk:
             )
         for attribute in insert.attribs:
             # An attribute can be invisible as an entity or by an additional flag.
-            if not (attribute.is_invisible or self._is_invisible(attribute, here.layer)):
-                self._refuse_text(attribute, here)
-        for single in insert.multi_insert() if insert.mcount > 1 else [insert]:
-            map3d = np.array(list(single.matrix44())).reshape(4, 4)
+            if not (attribute.is_invisible or self._is_invisible(attribute, properties.layer)):
+                self._refuse_text(attribute, properties)
+        for one_insert in insert.multi_insert() if insert.mcount > 1 else [insert]:
+            map3d = np.array(list(one_insert.matrix44())).reshape(4, 4)
             if np.abs(map3d[:2, 2]).max() > 1e-9 * np.abs(map3d[:2, :2]).max():
                 self._refuse(
                     f"the block {name[:60]!r} is not inserted in the XY plane",
-                    here,
+                    properties,
                     line,
                     "Flatten it.",
                 )
                 return
             placed = replace(
-                here,
-                matrix=here.matrix @ map3d[:2, :2].T,
-                offset=here.matrix @ map3d[3, :2] + here.offset,
+                properties,
+                matrix=properties.matrix @ map3d[:2, :2].T,
+                offset=properties.matrix @ map3d[3, :2] + properties.offset,
             )
             self.entities(block, placed, depth + 1)
 
@@ -358,9 +368,9 @@ class _Walk:
             if index == _BYBLOCK:
                 return inherited.colour
             if index == _BYLAYER:
-                found = self._layer(layer)
-                rgb = None if found is None else found.rgb
-                index = 7 if found is None else abs(int(found.dxf.get("color", 7)))
+                layer_entry = self._layer(layer)
+                rgb = None if layer_entry is None else layer_entry.rgb
+                index = 7 if layer_entry is None else abs(int(layer_entry.dxf.get("color", 7)))
             if rgb is None:
                 rgb = aci2rgb(index if 1 <= index <= 255 else 7)
         return "#{:02x}{:02x}{:02x}".format(*rgb)
@@ -393,16 +403,22 @@ class _Walk:
     def _line(self, entity: Any) -> int:
         return self.lines.get(str(entity.dxf.handle), 0)
 
-    def _refuse_text(self, entity: Any, here: _Inherited) -> None:
-        text = _beginning_of(entity)
+    def _refuse_text(self, entity: Any, properties: _Inherited) -> None:
+        text = _text_beginning(entity)
         self._refuse(
             f"the text {text[:40]!r} cannot be sewn",
-            here,
+            properties,
             self._line(entity),
             "Explode it to lines, or put it on a layer that is not chosen.",
         )
 
-    def _refuse(self, message: str, here: _Inherited, line: int, remedy: str) -> None:
+    def _refuse(self, message: str, properties: _Inherited, line: int, remedy: str) -> None:
         self.refusals.append(
-            Refusal(message=message, layer=here.layer, colour=here.colour, line=line, remedy=remedy)
+            Refusal(
+                message=message,
+                layer=properties.layer,
+                colour=properties.colour,
+                line=line,
+                remedy=remedy,
+            )
         )

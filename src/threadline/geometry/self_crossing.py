@@ -33,9 +33,11 @@ def flatten(pieces: Pieces, tolerance_m: float) -> tuple[FloatArray, FloatArray,
     curved = np.flatnonzero(~pieces.is_line)
     if len(curved):
         u = np.linspace(0.0, 1.0, 33)
-        bend = pieces.evaluate(np.repeat(curved, len(u)), np.tile(u, len(curved)), 2)[2]
-        most = np.hypot(*bend.T).reshape(len(curved), -1).max(axis=1)
-        parts[curved] = np.ceil(np.sqrt(1.1 * most / (8.0 * tolerance_m))).clip(2, 1 << 20)
+        second_derivative = pieces.evaluate(np.repeat(curved, len(u)), np.tile(u, len(curved)), 2)[
+            2
+        ]
+        peak = np.hypot(*second_derivative.T).reshape(len(curved), -1).max(axis=1)
+        parts[curved] = np.ceil(np.sqrt(1.1 * peak / (8.0 * tolerance_m))).clip(2, 1 << 20)
     piece = np.repeat(index, parts)
     first = np.repeat(np.cumsum(parts) - parts, parts)
     step = np.arange(len(piece)) - first
@@ -66,10 +68,10 @@ def crossings(
         False if the search ended early because there were too many pairs.
     """
     # The sweep runs along the axis along which fewer chords overlap.
-    shadow = np.abs(end - begin).sum(axis=0) / np.maximum(
+    overlap = np.abs(end - begin).sum(axis=0) / np.maximum(
         np.ptp(np.concatenate([begin, end]), axis=0), 1e-12
     )
-    a, b = (begin, end) if shadow[0] <= shadow[1] else (begin[:, ::-1], end[:, ::-1])
+    a, b = (begin, end) if overlap[0] <= overlap[1] else (begin[:, ::-1], end[:, ::-1])
     low = np.minimum(a[:, 0], b[:, 0])
     order = np.argsort(low, kind="stable")
     first, second, at_first, at_second, complete = _sweep(

@@ -13,8 +13,8 @@ from threadline.errors import JobError, Place
 from threadline.geometry.curves import Pieces
 
 LineStyle = Literal["solid", "dashed", "dotted", "dashdot"]
-_LONGER = 2.0  # if the longest dash exceeds the shortest by this factor, the shortest is a dot
-_OF_WIDTH = 2.0  # a dash that is at most so many line widths long is a dot
+_DOT_RATIO = 2.0  # if the longest dash exceeds the shortest by this factor, the shortest is a dot
+_DOT_WIDTHS = 2.0  # a dash that is at most so many line widths long is a dot
 _NUMBER = re.compile(r"([0-9]*\.?[0-9]+(?:[eE][-+]?[0-9]+)?)(?:px|mm|pt)?")
 _BYLAYER, _BYBLOCK = "BYLAYER", "BYBLOCK"
 
@@ -29,7 +29,7 @@ def style_of(dashes: Sequence[float], dot: float = 0.0) -> LineStyle:
         return "solid"
     if max(dashes) <= dot:
         return "dotted"
-    return "dashdot" if min(dashes) <= dot or max(dashes) > _LONGER * min(dashes) else "dashed"
+    return "dashdot" if min(dashes) <= dot or max(dashes) > _DOT_RATIO * min(dashes) else "dashed"
 
 
 def style_of_dasharray(dasharray: str, width: str) -> LineStyle:
@@ -41,19 +41,19 @@ def style_of_dasharray(dasharray: str, width: str) -> LineStyle:
     >>> style_of_dasharray("4 2", "0.3"), style_of_dasharray("6 2 0.5 2", "0.3")
     ('dashed', 'dashdot')
     """
-    lengths = [_length(one) for one in re.split(r"[\s,]+", dasharray.strip())]
-    given = [one for one in lengths if one is not None]
-    if len(given) != len(lengths) or not any(given):
+    lengths = [_length(length) for length in re.split(r"[\s,]+", dasharray.strip())]
+    known = [length for length in lengths if length is not None]
+    if len(known) != len(lengths) or not any(known):
         return "solid"
-    around = given if len(given) % 2 == 0 else [*given, *given]  # as SVG defines an odd number
-    if not any(around[1::2]):
+    pattern = known if len(known) % 2 == 0 else [*known, *known]  # as SVG defines an odd number
+    if not any(pattern[1::2]):
         return "solid"  # dashes without gaps
-    return style_of(around[::2], _OF_WIDTH * (_length(width) or 0.0))
+    return style_of(pattern[::2], _DOT_WIDTHS * (_length(width) or 0.0))
 
 
 def _length(text: str) -> float | None:
-    found = _NUMBER.fullmatch(text)
-    return None if found is None else float(found[1])
+    match = _NUMBER.fullmatch(text)
+    return None if match is None else float(match[1])
 
 
 def style_of_linetype(document: Any, entity: Any, layer: Any, inherited: LineStyle) -> LineStyle:

@@ -66,8 +66,8 @@ def centre_of(points: FloatArray) -> FloatArray | None:
     sides = 2.0 * np.array([second - first, third - first])
     if abs(np.linalg.det(sides)) <= 1e-12 * float((sides**2).sum()):
         return None
-    away = np.array([second @ second - first @ first, third @ third - first @ first])
-    return np.asarray(np.linalg.solve(sides, away))
+    squares = np.array([second @ second - first @ first, third @ third - first @ first])
+    return np.asarray(np.linalg.solve(sides, squares))
 
 
 def spline_controls(points: FloatArray) -> FloatArray:
@@ -92,8 +92,8 @@ def dxf_of(shapes: Iterable[DrawnShape]) -> bytes:
 
     document = new(setup=["linetypes"], units=units.MM)
     space = document.modelspace()
-    for _, one_fill in groupby(enumerate(shapes), _filled_as):
-        _add_shapes(space, [shape for _, shape in one_fill])
+    for _, same_fill in groupby(enumerate(shapes), _filled_as):
+        _add_shapes(space, [shape for _, shape in same_fill])
     text = io.StringIO()
     document.write(text)
     return text.getvalue().encode("utf-8")
@@ -101,9 +101,9 @@ def dxf_of(shapes: Iterable[DrawnShape]) -> bytes:
 
 def _filled_as(numbered: tuple[int, DrawnShape]) -> tuple[int, int, str]:
     """Return the key that shapes have in common if they are filled together."""
-    at, shape = numbered
+    index, shape = numbered
     alone = not shape.group or shape.fill == "none" or shape.kind == "leader"
-    return (at if alone else -1, shape.group, shape.fill)
+    return (index if alone else -1, shape.group, shape.fill)
 
 
 def _add_shapes(space: Any, shapes: Sequence[DrawnShape]) -> None:
@@ -114,38 +114,38 @@ def _add_shapes(space: Any, shapes: Sequence[DrawnShape]) -> None:
         if shape.kind == "leader":
             _add_leader(space, shape)
             continue
-        points, look = 1e3 * shape.points, {"linetype": _LINETYPES[shape.style]}
+        points, attributes = 1e3 * shape.points, {"linetype": _LINETYPES[shape.style]}
         if shape.kind == "circle":
             radius = float(np.hypot(*(points[1] - points[0])))
-            space.add_circle(points[0].tolist(), radius, dxfattribs=look)
+            space.add_circle(points[0].tolist(), radius, dxfattribs=attributes)
         elif shape.kind == "arc" and (centre := centre_of(points)) is not None:
             begin, via, end = np.degrees(np.arctan2(*(points - centre).T[::-1])).tolist()
             if (via - begin) % 360.0 > (end - begin) % 360.0:  # the arc was drawn clockwise
                 begin, end = end, begin
             radius = float(np.hypot(*(points[0] - centre)))
-            space.add_arc(centre.tolist(), radius, begin, end, dxfattribs=look)
+            space.add_arc(centre.tolist(), radius, begin, end, dxfattribs=attributes)
         elif shape.kind == "spline":
             controls = spline_controls(points)
             pieces = (len(controls) - 1) // 3
             knots = np.repeat(np.arange(pieces + 1.0), 3)
-            spline = space.add_spline(degree=3, dxfattribs=look)
+            spline = space.add_spline(degree=3, dxfattribs=attributes)
             spline.control_points = [(x, y, 0.0) for x, y in controls.tolist()]
             spline.knots = [0.0, *knots.tolist(), float(pieces)]
         else:
             closed = shape.kind == "polygon"
-            space.add_lwpolyline(points.tolist(), close=closed, dxfattribs=look)
+            space.add_lwpolyline(points.tolist(), close=closed, dxfattribs=attributes)
 
 
 def _add_leader(space: Any, shape: DrawnShape) -> None:
     """Add a leader, and its label next to its last point."""
     points = (1e3 * shape.points).tolist()
-    look = {"layer": LEADER_LAYER, "linetype": _LINETYPES[shape.style]}
-    space.add_leader(points, dxfattribs=look)
+    attributes = {"layer": LEADER_LAYER, "linetype": _LINETYPES[shape.style]}
+    space.add_leader(points, dxfattribs=attributes)
     if shape.label:
         x, y = points[-1]
-        where = {"layer": LEADER_LAYER, "char_height": _LABEL_MM, "insert": (x + 1.0, y)}
+        label_attributes = {"layer": LEADER_LAYER, "char_height": _LABEL_MM, "insert": (x + 1.0, y)}
         plain = re.sub(r"[\\{}]", r"\\\g<0>", shape.label)  # these characters begin a format
-        space.add_mtext(plain, dxfattribs=where)
+        space.add_mtext(plain, dxfattribs=label_attributes)
 
 
 def _add_fill(space: Any, shapes: Sequence[DrawnShape]) -> None:
@@ -177,9 +177,9 @@ def ring_of(shape: DrawnShape) -> FloatArray:
         a, b, c, d = (spline_controls(points)[k : len(points) * 3 - 2 : 3] for k in range(4))
         n = len(points) - 1
         u = np.linspace(0.0, 1.0, _CHORDS, endpoint=False)[:, None, None]
-        at = (
+        curve_points = (
             (1 - u) ** 3 * a[:n] + 3 * u * (1 - u) ** 2 * b[:n]
             + 3 * u**2 * (1 - u) * c[:n] + u**3 * d[:n]
         )  # fmt: skip
-        return np.vstack([at.transpose(1, 0, 2).reshape(-1, 2), points[-1:]])
+        return np.vstack([curve_points.transpose(1, 0, 2).reshape(-1, 2), points[-1:]])
     return np.asarray(points)

@@ -22,7 +22,7 @@ KLIPPER_LOWEST_HZ = 5.0
 """Start of Klipper's sweep: lower frequencies come from the motion of the axis to and fro."""
 _LOWEST_HZ = 0.5
 _LEAST_SAMPLES, _LEAST_BINS = 200, 12
-_GAP = 2.5  # times the usual step
+_MAX_GAP_STEPS = 2.5  # times the usual step
 _GRAVITY = 9.80665
 _UNITS = {"mm/s^2": 1e-3, "mm/s2": 1e-3, "m/s^2": 1.0, "m/s2": 1.0, "g": _GRAVITY, "mg": 9.80665e-3}
 _TIMES = {"s": 1.0, "sec": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
@@ -31,7 +31,10 @@ _ACCELERATION = re.compile(
     r"(?:linear[ _])?(?:a|acc|accel|acceleration|accelerometer|gf)?[ _]?([xyz])"
     r"(?:[ _]?axis)?\s*(?:[(\[]\s*([^)\]]+?)\s*[)\]])?"
 )
-_CLIPPED, _OFTEN = 12, 8.0  # samples at the extreme, at least, and times the levels next to it
+_CLIPPED_SAMPLES, _CLIPPED_RATIO = (
+    12,
+    8.0,
+)  # samples at the extreme, at least, and times the levels next to it
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -116,20 +119,22 @@ def read_accelerometer(path: Path) -> Vibration | Spectrum:
     start, header = _header(text, place)
     names = [name.strip().strip('"').strip().lower() for name in header]
     if names[0] == "freq":
-        wanted = [f"psd_{axis}" for axis in AXES]
-        if missing := [name for name in wanted if name not in names]:
+        power_names = [f"psd_{axis}" for axis in AXES]
+        if missing := [name for name in power_names if name not in names]:
             raise RecordingError(
                 f"the spectrum has no column {missing[0]!r}",
                 place=place,
                 remedy="Give a file of one accelerometer: freq,psd_x,psd_y,psd_z,psd_xyz.",
             )
-        table = _table(text, start, header, [0, *(names.index(name) for name in wanted)], place)
+        table = _table(
+            text, start, header, [0, *(names.index(name) for name in power_names)], place
+        )
         # Klipper divides by the frequency before it adds the columns of shapers.
-        shaped = any("(" in name or name == "shapers:" for name in names[1:])
-        return _spectrum(table, shaped, place)
-    time, to_seconds = _time_column(names, place)
+        normalised = any("(" in name or name == "shapers:" for name in names[1:])
+        return _spectrum(table, normalised, place)
+    time_index, to_seconds = _time_column(names, place)
     columns, scale = _accelerations(names, place)
-    table = _table(text, start, header, [time, *columns], place)
+    table = _table(text, start, header, [time_index, *columns], place)
     run = _vibration(table[:, 0] * to_seconds, table[:, 1:], scale, Place(str(path), start))
     return run if "accel_x" in names else replace(run, lowest_hz=_LOWEST_HZ, drive_power=0.0)
 
@@ -145,9 +150,9 @@ def _header(text: str, place: Place) -> tuple[int, list[str]]:
             return number + 1, cells
         if number > 100:
             break
-    what = "the file is empty" if not text.strip() else "no line names time and x, y and z"
+    fault = "the file is empty" if not text.strip() else "no line names time and x, y and z"
     raise RecordingError(
-        what,
+        fault,
         place=place,
         remedy="The first line must be like '#time,accel_x,accel_y,accel_z', 'Time (s),"
         "Linear Acceleration x (m/s^2),...' or 'freq,psd_x,psd_y,psd_z,psd_xyz'.",
@@ -155,10 +160,10 @@ def _header(text: str, place: Place) -> tuple[int, list[str]]:
 
 
 def _time_column(names: list[str], place: Place) -> tuple[int, float]:
-    for at, name in enumerate(names):
+    for index, name in enumerate(names):
         match = _TIME.fullmatch(name)
         if match and (match[1] is None or match[1] in _TIMES):
-            return at, _TIMES[match[1] or "s"]
+            return index, _TIMES[match[1] or "s"]
     raise RecordingError(
         f"no column is a time among {', '.join(names)[:80]!r}",
         place=place,
@@ -167,18 +172,18 @@ def _time_column(names: list[str], place: Place) -> tuple[int, float]:
 
 
 def _accelerations(names: list[str], place: Place) -> tuple[list[int], float]:
-    found: dict[str, tuple[int, str]] = {}
-    for at, name in enumerate(names):
+    columns: dict[str, tuple[int, str]] = {}
+    for index, name in enumerate(names):
         match = _ACCELERATION.fullmatch(name)
         if match:
-            found.setdefault(match[1], (at, match[2] or ""))
-    if missing := [axis for axis in AXES if axis not in found]:
+            columns.setdefault(match[1], (index, match[2] or ""))
+    if missing := [axis for axis in AXES if axis not in columns]:
         raise RecordingError(
             f"no column is the acceleration along {missing[0]}",
             place=place,
             remedy="Name the columns like accel_x, accel_y, accel_z.",
         )
-    units = {unit.replace("²", "^2").replace(" ", "") for _, unit in found.values()}
+    units = {unit.replace("²", "^2").replace(" ", "") for _, unit in columns.values()}
     unit = next(iter(units))
     if len(units) > 1 or (unit and unit not in _UNITS):
         raise RecordingError(
@@ -187,32 +192,32 @@ def _accelerations(names: list[str], place: Place) -> tuple[list[int], float]:
             remedy=f"Units: {', '.join(dict.fromkeys(_UNITS))}.",
         )
     klipper = "accel_x" in names and not unit
-    return [found[axis][0] for axis in AXES], _UNITS["mm/s^2" if klipper else unit or "m/s^2"]
+    return [columns[axis][0] for axis in AXES], _UNITS["mm/s^2" if klipper else unit or "m/s^2"]
 
 
 def _table(
     text: str, start: int, header: list[str], columns: list[int], place: Place
 ) -> FloatArray:
     lines = text.splitlines()[start - 1 :]
-    head = text.splitlines()[start - 2]
-    mark = max(",;\t", key=head.count)
+    heading = text.splitlines()[start - 2]
+    separator = max(",;\t", key=heading.count)
     if not any(line.strip() and not line.lstrip().startswith("#") for line in lines):
         raise RecordingError("the file holds no samples", place=place, remedy="Record again.")
     try:
-        table = np.loadtxt(lines, delimiter=mark, usecols=columns, comments="#", ndmin=2)
+        table = np.loadtxt(lines, delimiter=separator, usecols=columns, comments="#", ndmin=2)
     except ValueError:
         table = np.full((1, len(columns)), np.nan)
     if len(table) and bool(np.isfinite(table).all()):
         return table
     for number, line in enumerate(lines, start=start):
-        cells = line.split(mark)
+        cells = line.split(separator)
         if not line.strip() or line.lstrip().startswith("#"):
             continue
         try:
-            good = all(np.isfinite(float(cells[k])) for k in columns)
+            is_finite = all(np.isfinite(float(cells[k])) for k in columns)
         except (IndexError, ValueError):
-            good = False
-        if not good:
+            is_finite = False
+        if not is_finite:
             raise RecordingError(
                 f"{line.strip()[:60]!r} does not hold finite numbers for "
                 f"{', '.join(header[k].strip() for k in columns)[:80]}",
@@ -232,19 +237,19 @@ def _spectrum(table: FloatArray, shaped: bool, place: Place) -> Spectrum:
             place=place,
             remedy="Give the whole file.",
         )
-    found = Spectrum(frequency_hz=f, psd=psd, normalised=shaped, place=place)
+    spectrum = Spectrum(frequency_hz=f, psd=psd, normalised=shaped, place=place)
     # Klipper rounds frequencies to 0.1 Hz.
     if (np.diff(f) <= 0.0).any() or (
-        np.abs(f - f[0] - found.step_hz * np.arange(len(f))) > 0.11 + 1e-3 * found.step_hz
+        np.abs(f - f[0] - spectrum.step_hz * np.arange(len(f))) > 0.11 + 1e-3 * spectrum.step_hz
     ).any():
         raise RecordingError(
             "the frequencies of the spectrum are not even",
             place=place,
             remedy="Give the file as it was written.",
         )
-    if (most := float(psd.max())) > MOST_PSD:
+    if (largest_power := float(psd.max())) > MOST_PSD:
         raise RecordingError(
-            f"the spectrum holds a power of {most:.3g}, limit {MOST_PSD:g}",
+            f"the spectrum holds a power of {largest_power:.3g}, limit {MOST_PSD:g}",
             place=place,
             remedy="Record again, or correct the line.",
         )
@@ -254,7 +259,7 @@ def _spectrum(table: FloatArray, shaped: bool, place: Place) -> Spectrum:
             place=place,
             remedy="Give a power spectral density.",
         )
-    return found
+    return spectrum
 
 
 def _vibration(time_s: FloatArray, values: FloatArray, scale: float, first: Place) -> Vibration:
@@ -268,32 +273,34 @@ def _vibration(time_s: FloatArray, values: FloatArray, scale: float, first: Plac
         )
     steps = np.diff(time_s)
     if (steps <= 0.0).any():
-        at = int(np.argmax(steps <= 0.0))
+        row = int(np.argmax(steps <= 0.0))
         raise RecordingError(
-            f"the time {time_s[at + 1]:.6g} s does not increase",
-            place=Place(place.file, start + at + 1),
+            f"the time {time_s[row + 1]:.6g} s does not increase",
+            place=Place(place.file, start + row + 1),
             remedy="Give one run, in the order of time.",
         )
-    usual = float(np.median(steps))
-    if usual > 1.0 / LEAST_RATE_HZ or usual < 1e-6:
+    usual_step_s = float(np.median(steps))
+    if usual_step_s > 1.0 / LEAST_RATE_HZ or usual_step_s < 1e-6:
         raise RecordingError(
-            f"samples are {usual:.3g} s apart, from 1e-06 to {1.0 / LEAST_RATE_HZ:g} s can be read",
+            f"samples are {usual_step_s:.3g} s apart, from 1e-06 to {1.0 / LEAST_RATE_HZ:g} s "
+            "can be read",
             place=place,
             remedy="Is the time in ms? Then name its column 'time (ms)'.",
         )
-    if (worst := float(steps.max())) > _GAP * usual:
-        at = int(np.argmax(steps))
+    if (longest_step_s := float(steps.max())) > _MAX_GAP_STEPS * usual_step_s:
+        row = int(np.argmax(steps))
         raise RecordingError(
-            f"{worst * 1e3:.4g} ms are missing after {time_s[at]:.6g} s, where samples are "
-            f"{usual * 1e3:.4g} ms apart",
-            place=Place(place.file, start + at + 1),
+            f"{longest_step_s * 1e3:.4g} ms are missing after {time_s[row]:.6g} s, where samples "
+            "are "
+            f"{usual_step_s * 1e3:.4g} ms apart",
+            place=Place(place.file, start + row + 1),
             remedy="Record again, or cut the run there.",
         )
-    if (most := float(np.abs(values).max())) > MOST_M_S2 / scale:
-        at = int(np.argmax(np.abs(values).max(axis=1)))
+    if (largest := float(np.abs(values).max())) > MOST_M_S2 / scale:
+        row = int(np.argmax(np.abs(values).max(axis=1)))
         raise RecordingError(
-            f"an acceleration of {most * scale:.3g} m/s^2, limit {MOST_M_S2:g} m/s^2",
-            place=Place(place.file, start + at),
+            f"an acceleration of {largest * scale:.3g} m/s^2, limit {MOST_M_S2:g} m/s^2",
+            place=Place(place.file, start + row),
             remedy="Correct the line, or the unit in the first line.",
         )
     for axis, column in zip(AXES, values.T, strict=True):
@@ -305,8 +312,8 @@ def _vibration(time_s: FloatArray, values: FloatArray, scale: float, first: Plac
                 remedy="Choose a larger range, or shake less.",
             )
     rate = len(steps) / float(time_s[-1] - time_s[0])
-    even = time_s[0] + np.arange(len(time_s)) / rate
-    table = np.column_stack([np.interp(even, time_s, column) for column in values.T])
+    even_times_s = time_s[0] + np.arange(len(time_s)) / rate
+    table = np.column_stack([np.interp(even_times_s, time_s, column) for column in values.T])
     return Vibration(rate_hz=rate, acceleration_m_s2=table * scale, place=place)
 
 
@@ -318,7 +325,7 @@ def _clipped(column: FloatArray) -> tuple[int, float] | None:
     levels, counts = np.unique(column, return_counts=True)
     if len(levels) < 12:
         return None  # at rest: a few levels of noise
-    for end, near in ((0, slice(1, 6)), (-1, slice(-6, -1))):
-        if counts[end] >= max(_CLIPPED, _OFTEN * float(counts[near].mean())):
+    for end, neighbours in ((0, slice(1, 6)), (-1, slice(-6, -1))):
+        if counts[end] >= max(_CLIPPED_SAMPLES, _CLIPPED_RATIO * float(counts[neighbours].mean())):
             return int(counts[end]), float(levels[end])
     return None

@@ -92,7 +92,7 @@ def trim(
         If the volts do not grow with the speed, positions or volts are missing, or the axis is
         steady at fewer than four speeds.
     """
-    names = list(axes) or [name for name, one in machine.axes.items() if one.controller]
+    names = list(axes) or [name for name, axis_run in machine.axes.items() if axis_run.controller]
     if not names:
         raise OptionError(
             f"machine {machine.name!r} has no control loops", remedy="It has nothing to trim."
@@ -106,48 +106,48 @@ def trim(
                 "seen at some of its ticks only",
                 remedy=f"Fit drives.{controller.drive}.amplifier.gain to a sweep.",
             )
-    for one in planned:
-        predict(machine, one)
-    found = []
-    for one in planned:
-        wanted = _steady_gain(machine, one.axis)
-        in_file = _stretches(machine, one, simulate(one.commands, machine))
-        ran = measure(machine, one, link=link, actual=actual)
-        if ran.ended is not RunEnd.COMPLETED:
-            raise LinkFaultError(f"the run of axis {one.axis} ended early: {ran.why}")
-        slope, spread = _slope(_stretches(machine, one, ran.recording), in_file)
+    for axis_run in planned:
+        predict(machine, axis_run)
+    trims = []
+    for axis_run in planned:
+        wanted = _steady_gain(machine, axis_run.axis)
+        predicted = _stretches(machine, axis_run, simulate(axis_run.commands, machine))
+        measurement = measure(machine, axis_run, link=link, actual=actual)
+        if measurement.ended is not RunEnd.COMPLETED:
+            raise LinkFaultError(f"the run of axis {axis_run.axis} ended early: {measurement.why}")
+        slope, spread = _slope(_stretches(machine, axis_run, measurement.recording), predicted)
         slope += 1.0 / wanted
         if slope <= 2.0 * spread:
             raise RecordingError(
-                f"axis {one.axis} needs no more volts at a higher speed",
+                f"axis {axis_run.axis} needs no more volts at a higher speed",
                 remedy="Give a larger --amplitude.",
             )
-        found.append(
+        trims.append(
             AxisTrim(
-                axis=one.axis,
-                drive=machine.controller_of(one.axis).drive,
+                axis=axis_run.axis,
+                drive=machine.controller_of(axis_run.axis).drive,
                 speed_per_volt=1.0 / slope,
                 wanted=wanted,
                 interval=2.0 * spread / slope,
             )
         )
-    return tuple(found)
+    return tuple(trims)
 
 
 def _runs(machine: Machine, axis: str, amplitude: float | None) -> Experiment:
     """Return the runs of an axis, slow enough to be steady on the way."""
     if axis not in machine.axes or amplitude is not None:
-        size = amplitude
+        amplitude_si = amplitude
     elif (travel := machine.axes[axis].travel) is None:
-        size = _TURN
+        amplitude_si = _TURN
     else:  # the runs go both ways from the start
         low, high = (end.si for end in travel)
-        size = min(_TRAVEL * (high - low), 0.8 * high, -0.8 * low)
+        amplitude_si = min(_TRAVEL * (high - low), 0.8 * high, -0.8 * low)
     fastest = _FASTEST
-    if axis in machine.axes and size is not None:
-        fastest = min(_FASTEST, size / _STRETCH_S / machine.axes[axis].velocity.si)
+    if axis in machine.axes and amplitude_si is not None:
+        fastest = min(_FASTEST, amplitude_si / _STRETCH_S / machine.axes[axis].velocity.si)
     speeds = [share * fastest for share in _SPEEDS]
-    return experiment(machine, axis, "constant", amplitude=size, speeds=speeds)
+    return experiment(machine, axis, "constant", amplitude=amplitude_si, speeds=speeds)
 
 
 def _steady_gain(machine: Machine, axis: str) -> float:
@@ -178,7 +178,7 @@ def _stretches(machine: Machine, planned: Experiment, recording: Recording) -> _
     counts = machine.axes[axis].counts.si
     try:
         commanded, position = (
-            columns[f"{axis}.{what}"] * counts for what in ("commanded", "measured")
+            columns[f"{axis}.{channel_kind}"] * counts for channel_kind in ("commanded", "measured")
         )
         volts = columns[f"{axis}.voltage"]
     except KeyError as missing:
@@ -186,7 +186,7 @@ def _stretches(machine: Machine, planned: Experiment, recording: Recording) -> _
             f"it has no channel {missing.args[0]}", remedy="Trim over a link that reports it."
         ) from missing
     tick_s = float(machine.tick_clock.period_s)
-    found = [
+    stretches = [
         (
             (position[last] - position[first]) / ((last - first) * tick_s),
             volts[first + 1 : last + 1].mean(),
@@ -194,46 +194,47 @@ def _stretches(machine: Machine, planned: Experiment, recording: Recording) -> _
         )
         for first, last in _steady(commanded)
     ]
-    if len(found) < _SPEEDS_AT_LEAST:
+    if len(stretches) < _SPEEDS_AT_LEAST:
         raise RecordingError(
-            f"axis {axis} is steady at {len(found)} speeds, and the gain needs {_SPEEDS_AT_LEAST}",
+            f"axis {axis} is steady at {len(stretches)} speeds, and the gain needs "
+            f"{_SPEEDS_AT_LEAST}",
             remedy="Give a larger --amplitude.",
         )
-    speed, mean, ticks = np.array(found, dtype=np.float64).T
+    speed, mean, ticks = np.array(stretches, dtype=np.float64).T
     return _Stretches(speed=speed, volts=mean, ticks=ticks)
 
 
-def _slope(ran: _Stretches, in_file: _Stretches) -> tuple[float, float]:
+def _slope(measured: _Stretches, predicted: _Stretches) -> tuple[float, float]:
     """Return the difference of two slopes of volts over speed, and its deviation.
 
     The stretches have the same commands, so both have the same remaining transients.
     """
-    v, weight = ran.speed, np.sqrt(ran.ticks)
+    v, weight = measured.speed, np.sqrt(measured.ticks)
     basis = np.stack([v, np.sign(v), np.ones(len(v))], axis=1) * weight[:, None]
-    apart = (ran.volts - in_file.volts) * weight
-    solved, *_ = np.linalg.lstsq(basis, apart, rcond=None)
-    left = apart - basis @ solved
-    spread = left @ left / max(len(v) - 3, 1) * np.linalg.inv(basis.T @ basis)[0, 0]
-    return float(solved[0]), float(np.sqrt(spread))
+    volts_apart = (measured.volts - predicted.volts) * weight
+    solution, *_ = np.linalg.lstsq(basis, volts_apart, rcond=None)
+    residual = volts_apart - basis @ solution
+    variance = residual @ residual / max(len(v) - 3, 1) * np.linalg.inv(basis.T @ basis)[0, 0]
+    return float(solution[0]), float(np.sqrt(variance))
 
 
 def _steady(commanded: FloatArray) -> list[tuple[int, int]]:
     """Return the later halves of the stretches with one commanded speed, as sample numbers."""
     speed = np.diff(commanded)
-    even = np.abs(speed[1:] - speed[:-1]) <= 1.0 + 1e-6  # rounded to counts
+    is_even = np.abs(speed[1:] - speed[:-1]) <= 1.0 + 1e-6  # rounded to counts
     # A slow ramp changes by less than a count as well, so a stretch keeps its first speed.
-    found, first = [], 0
+    stretches, first = [], 0
     total = np.concatenate(([0.0], np.cumsum(speed)))
     for k in range(1, len(speed) + 1):
-        going = k < len(speed) and bool(even[k - 1])
-        if going:
+        continues = k < len(speed) and bool(is_even[k - 1])
+        if continues:
             mean = (total[k] - total[first]) / (k - first)
-            going = abs(speed[k] - mean) <= 1.0 + 1e-6
-        if going:
+            continues = abs(speed[k] - mean) <= 1.0 + 1e-6
+        if continues:
             continue
         length = k - first
         start = first + round((1.0 - _STEADY_SHARE) * length)
         if length >= _LEAST_TICKS and abs(total[k] - total[first]) > length * 0.5:
-            found.append((start, k))
+            stretches.append((start, k))
         first = k
-    return found
+    return stretches

@@ -54,15 +54,15 @@ def fit(
     from threadline.identify.parameter_fit import parse_numbers, write_fitted
 
     files = [data] if isinstance(data, str | Path) else list(data)
-    chosen = load_machine(str(machine))
-    names = parse_numbers(",".join(numbers), chosen)
-    opened = [open_data(str(file), str(machine), axis) for file in files]
+    machine_read = load_machine(str(machine))
+    names = parse_numbers(",".join(numbers), machine_read)
+    data_files = [open_data(str(file), str(machine), axis) for file in files]
     if out is not None:
         check_machine_output(Path(out))
-    found = fitted(chosen, opened, names)
+    result = fitted(machine_read, data_files, names)
     if out is not None:
-        write_fitted(found, ", ".join(one.name for one in opened), Path(out))
-    return found
+        write_fitted(result, ", ".join(data_read.name for data_read in data_files), Path(out))
+    return result
 
 
 @in_arguments
@@ -110,23 +110,23 @@ def measure(
     from threadline.identify.planned_experiment import experiment as planned_of
     from threadline.identify.planned_experiment import parse_band
 
-    chosen = load_machine(str(machine))
+    machine_read = load_machine(str(machine))
     if out is not None:
         check_measurement_file(Path(out))
-    unit = "rad" if axis in chosen.axes and chosen.axes[axis].kind == "rotary" else "m"
+    unit = "rad" if axis in machine_read.axes and machine_read.axes[axis].kind == "rotary" else "m"
     planned = planned_of(
-        chosen,
+        machine_read,
         axis,
         experiment,
         amplitude=None if amplitude is None else parse_quantity(amplitude, unit),
         band_hz=None if band is None else parse_band(band),
     )
-    predict(chosen, planned)
-    far = load_machine(actual) if isinstance(actual, str) else actual
-    found = measured(chosen, planned, link=link, actual=far)
+    predict(machine_read, planned)
+    far_machine = load_machine(actual) if isinstance(actual, str) else actual
+    result = measured(machine_read, planned, link=link, actual=far_machine)
     if out is not None:
-        write_recording(found.recording, Path(out))
-    return found
+        write_recording(result.recording, Path(out))
+    return result
 
 
 @in_arguments

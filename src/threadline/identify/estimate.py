@@ -31,8 +31,8 @@ _STARTS, _SIMULATED_STARTS = 48, 12  # a simulated run costs a hundred times as 
 _REFINED = 3
 _HUBER = 2.0  # in deviations of the noise; 98 % as efficient as least squares for normal noise
 _ROUNDS = 3
-_OUTLIER = 4.0
-_ROUGH = 0.01  # from this step of the derivatives on, residuals count as rough
+_OUTLIER_DEVIATIONS = 4.0
+_ROUGH_STEP = 0.01  # from this step of the derivatives on, residuals count as rough
 _WIDEST, _FINEST = 0.08, 0.002
 UNKNOWN = 0.5
 """Deviation of a logarithm from which a combination counts as unknown."""
@@ -127,26 +127,26 @@ def estimate(problem: Problem, starts: int | None = None) -> Estimate:
         If there are more numbers than residuals, or no start gives a finite residual.
     """
     _check_count(problem)
-    usual = _STARTS if problem.robust else _SIMULATED_STARTS
-    begin = _starts(problem, usual if starts is None else starts)
+    usual_starts = _STARTS if problem.robust else _SIMULATED_STARTS
+    start_points = _starts(problem, usual_starts if starts is None else starts)
     # Scaled by the misfit of one start: sources have different units.
-    noise = _noise(problem, problem.residuals(begin[-1][None])[0])
-    best, cost = begin[0], np.inf
-    for start in begin:
-        found, reached = _refined(problem, start, noise, final=False)
-        if reached < cost:
-            best, cost = found, reached
+    noise = _noise(problem, problem.residuals(start_points[-1][None])[0])
+    best, cost = start_points[0], np.inf
+    for start in start_points:
+        refined, refined_cost = _refined(problem, start, noise, final=False)
+        if refined_cost < cost:
+            best, cost = refined, refined_cost
     for _ in range(_ROUNDS):
         residual = problem.residuals(best[None])[0]
-        new = _noise(problem, residual)
-        settled = np.allclose(new, noise, rtol=0.01)
-        noise = new
+        new_noise = _noise(problem, residual)
+        settled = np.allclose(new_noise, noise, rtol=0.01)
+        noise = new_noise
         best, _ = _refined(problem, best, noise, final=True)
         if settled:
             break
-    if problem.step >= _ROUGH:
-        best = _polished(problem, best)
-    return _judged(problem, best)
+    if problem.step >= _ROUGH_STEP:
+        best = _compass_search(problem, best)
+    return _estimate_at(problem, best)
 
 
 def _check_count(problem: Problem) -> None:
@@ -169,9 +169,9 @@ def check_range(found: Estimate) -> None:
     OptionError
         If a number is at the end of its range.
     """
-    edge = np.log(FARTHEST_FACTOR)
+    largest_log = np.log(FARTHEST_FACTOR)
     for name, value in zip(found.names, found.log_factor, strict=True):
-        if abs(value) > 0.999 * edge:
+        if abs(value) > 0.999 * largest_log:
             raise OptionError(
                 f"{name} ends at {np.exp(value):.3g} times its first guess, the end of its range",
                 remedy="Correct the guess in the machine file, or name fewer numbers.",
@@ -183,12 +183,12 @@ def _starts(problem: Problem, count: int) -> list[FloatArray]:
     from scipy.stats import qmc
 
     first = np.zeros((1, len(problem.names)))
-    drawn = np.empty((0, len(problem.names)))
+    drawn_starts = np.empty((0, len(problem.names)))
     if count:
         unit = qmc.Halton(len(problem.names), seed=1).random(count)
-        drawn = (2.0 * unit - 1.0) * np.log(START_FACTOR)
-    tried = np.concatenate((first, drawn))
-    residual = problem.residuals(tried)
+        drawn_starts = (2.0 * unit - 1.0) * np.log(START_FACTOR)
+    candidates = np.concatenate((first, drawn_starts))
+    residual = problem.residuals(candidates)
     cost = np.log1p(residual**2).sum(axis=1)
     finite = np.isfinite(cost)
     if not finite.any():
@@ -198,7 +198,7 @@ def _starts(problem: Problem, count: int) -> list[FloatArray]:
         )
     cost[~finite] = np.inf
     order = [int(k) for k in np.argsort(cost[1:])[: _REFINED - 1] + 1 if finite[k]]
-    return [tried[k] for k in ([0] if finite[0] else []) + order]
+    return [candidates[k] for k in ([0] if finite[0] else []) + order]
 
 
 def _refined(
@@ -206,7 +206,7 @@ def _refined(
 ) -> tuple[FloatArray, float]:
     from scipy.optimize import least_squares
 
-    edge = np.log(FARTHEST_FACTOR)
+    largest_log = np.log(FARTHEST_FACTOR)
     tolerance = 1e-8 if final else 1e-3
     loss: Literal["huber", "soft_l1", "linear"] = "linear"
     if problem.robust:
@@ -218,11 +218,11 @@ def _refined(
     def slope(x: FloatArray) -> FloatArray:
         return np.asarray(np.nan_to_num(jacobian(problem, x) / noise[:, None]))
 
-    found = least_squares(
+    result = least_squares(
         residual,
-        np.clip(start, -0.99 * edge, 0.99 * edge),
+        np.clip(start, -0.99 * largest_log, 0.99 * largest_log),
         jac=slope,
-        bounds=(-edge, edge),
+        bounds=(-largest_log, largest_log),
         loss=loss,
         f_scale=_HUBER if loss == "huber" else 1.0,
         xtol=tolerance,
@@ -230,28 +230,28 @@ def _refined(
         gtol=1e-8,
         max_nfev=200,
     )
-    return np.asarray(found.x), float(found.cost)
+    return np.asarray(result.x), float(result.cost)
 
 
-def _polished(problem: Problem, at: FloatArray) -> FloatArray:
+def _compass_search(problem: Problem, numbers: FloatArray) -> FloatArray:
     """Return the best numbers that a compass search finds where rounding misleads derivatives.
 
     Each round tries every number one step up and one step down, in one call. If none is better, the
     step is halved (Kolda, Lewis and Torczon, "Optimization by direct search", SIAM Review 45,
     2003).
     """
-    noise = _noise(problem, problem.residuals(at[None])[0])
-    axes = np.concatenate((np.eye(len(at)), -np.eye(len(at))))
+    noise = _noise(problem, problem.residuals(numbers[None])[0])
+    axes = np.concatenate((np.eye(len(numbers)), -np.eye(len(numbers))))
     step = _WIDEST
     while step > _FINEST:
-        tried = np.concatenate((at[None], at + step * axes))
-        squares = np.mean((problem.residuals(tried) / noise) ** 2, axis=1)
+        candidates = np.concatenate((numbers[None], numbers + step * axes))
+        squares = np.mean((problem.residuals(candidates) / noise) ** 2, axis=1)
         best = int(np.nanargmin(squares))
         if best == 0:
             step /= 2.0
         else:
-            at = tried[best]
-    return at
+            numbers = candidates[best]
+    return numbers
 
 
 def jacobian(problem: Problem, at: FloatArray) -> FloatArray:
@@ -270,20 +270,22 @@ def _noise(problem: Problem, residual: FloatArray) -> FloatArray:
     residuals.
     """
     noise = np.empty(len(residual))
-    shrunk = np.sqrt(1.0 - len(problem.names) / len(residual))
-    for one in np.unique(problem.source):
-        own = problem.source == one
-        size = np.abs(residual[own])
-        least = float(np.median(problem.floor[own]))
+    freedom_share = np.sqrt(1.0 - len(problem.names) / len(residual))
+    for source in np.unique(problem.source):
+        of_source = problem.source == source
+        magnitude = np.abs(residual[of_source])
+        least_deviation = float(np.median(problem.floor[of_source]))
         if not problem.robust:
-            noise[own] = max(float(np.sqrt(np.mean(size**2))) / shrunk, least)
+            noise[of_source] = max(
+                float(np.sqrt(np.mean(magnitude**2))) / freedom_share, least_deviation
+            )
             continue
-        spread = max(1.4826 * float(np.median(size)), least)
+        spread = max(1.4826 * float(np.median(magnitude)), least_deviation)
         # Huber's proposal 2: efficient for normal noise, and bounded for outliers.
         for _ in range(30):
-            clipped = np.minimum(size / spread, _HUBER)
+            clipped = np.minimum(magnitude / spread, _HUBER)
             spread *= float(np.sqrt(np.mean(clipped**2) / _CLIPPED_VARIANCE))
-        noise[own] = max(spread / shrunk, least)
+        noise[of_source] = max(spread / freedom_share, least_deviation)
     return noise
 
 
@@ -291,32 +293,34 @@ def _clipped_variance(most: float) -> float:
     """Return the mean of ``min(|z|, most)^2`` for a standard normal z."""
     from math import erf, exp, pi, sqrt
 
-    inside = erf(most / sqrt(2.0))
-    return inside - most * sqrt(2.0 / pi) * exp(-(most**2) / 2.0) + most**2 * (1.0 - inside)
+    probability = erf(most / sqrt(2.0))
+    return (
+        probability - most * sqrt(2.0 / pi) * exp(-(most**2) / 2.0) + most**2 * (1.0 - probability)
+    )
 
 
 _CLIPPED_VARIANCE = _clipped_variance(_HUBER)
 
 
-def _judged(problem: Problem, at: FloatArray) -> Estimate:
+def _estimate_at(problem: Problem, at: FloatArray) -> Estimate:
     """Return the estimate at the fitted numbers, with its covariance."""
     residual = problem.residuals(at[None])[0]
     noise = _noise(problem, residual)
     J = jacobian(problem, at) / noise[:, None]
-    share = residual / noise
-    inside = np.abs(share) <= _HUBER
+    scaled = residual / noise
+    is_inside = np.abs(scaled) <= _HUBER
     # E[psi^2] / E[psi']^2: 1 for least squares of normal noise.
-    psi = np.clip(share, -_HUBER, _HUBER)
-    wider = np.sum(psi**2) / max(len(share) - len(at), 1) / np.mean(inside) ** 2
+    psi = np.clip(scaled, -_HUBER, _HUBER)
+    variance_factor = np.sum(psi**2) / max(len(scaled) - len(at), 1) / np.mean(is_inside) ** 2
     inverse = np.linalg.pinv(J.T @ J, hermitian=True)
-    covariance = inverse * max(wider, 1.0 / np.mean(inside))
+    covariance = inverse * max(variance_factor, 1.0 / np.mean(is_inside))
     if not problem.robust:
         # Residuals of a recording are correlated: an axis that rests, or moves a whole number of
         # counts each tick, is rounded alike at every sample. The largest effect that residuals of
         # their size can have is added as if it were one more deviation.
         shift = np.abs(inverse @ J.T).sum(axis=1)
-        grown = np.sqrt(1.0 + shift**2 / np.maximum(np.diag(covariance), 1e-300))
-        covariance = covariance * np.outer(grown, grown)
+        widening = np.sqrt(1.0 + shift**2 / np.maximum(np.diag(covariance), 1e-300))
+        covariance = covariance * np.outer(widening, widening)
     return Estimate(
         names=problem.names,
         log_factor=at,
@@ -325,7 +329,7 @@ def _judged(problem: Problem, at: FloatArray) -> Estimate:
         jacobian=J,
         residual=residual,
         noise=noise,
-        outliers=int(np.sum(np.abs(share) > _OUTLIER)),
+        outliers=int(np.sum(np.abs(scaled) > _OUTLIER_DEVIATIONS)),
     )
 
 
@@ -341,39 +345,43 @@ def profile(problem: Problem, found: Estimate, number: int) -> tuple[float, floa
 
     free = [k for k in range(len(found.names)) if k != number]
     limit = float(student.ppf(0.975, len(found.residual) - len(found.names)))
-    here = found.log_factor
+    fitted = found.log_factor
     least = _squares(found.residual / found.noise)
 
-    def beyond(value: float) -> float:
-        def at(rest: FloatArray) -> FloatArray:
-            whole = np.empty((len(rest), len(here)))
-            whole[:, number], whole[:, free] = value, rest
-            return problem.residuals(whole)
+    def excess(value: float) -> float:
+        def residuals_at(free_values: FloatArray) -> FloatArray:
+            numbers = np.empty((len(free_values), len(fitted)))
+            numbers[:, number], numbers[:, free] = value, free_values
+            return problem.residuals(numbers)
 
-        held = replace(problem, names=tuple(found.names[k] for k in free), residuals=at)
+        reduced = replace(
+            problem, names=tuple(found.names[k] for k in free), residuals=residuals_at
+        )
         if free:
-            best, _ = _refined(held, here[free], found.noise, final=True)
+            best, _ = _refined(reduced, fitted[free], found.noise, final=True)
         else:
-            best = here[free]
-        squares = _squares(at(best[None])[0] / found.noise)
+            best = fitted[free]
+        squares = _squares(residuals_at(best[None])[0] / found.noise)
         return float(np.sqrt(max(squares - least, 0.0))) - limit
 
     ends = []
     for sign in (-1.0, 1.0):
         reach = 2.0 * float(found.deviation[number])
-        while beyond(here[number] + sign * reach) < 0.0 and reach < np.log(FARTHEST_FACTOR):
+        while excess(fitted[number] + sign * reach) < 0.0 and reach < np.log(FARTHEST_FACTOR):
             reach *= 1.6
-        span = float(here[number]), float(here[number] + sign * reach)
+        span = float(fitted[number]), float(fitted[number] + sign * reach)
         if reach >= np.log(FARTHEST_FACTOR):
             ends.append(span[1])
         else:
-            ends.append(float(brentq(beyond, *span, xtol=1e-3 * found.deviation[number])))
+            ends.append(float(brentq(excess, *span, xtol=1e-3 * found.deviation[number])))
     return ends[0], ends[1]
 
 
 def _squares(share: FloatArray) -> float:
-    size = np.abs(share)
-    return float(np.sum(np.where(size <= _HUBER, size**2, 2.0 * _HUBER * size - _HUBER**2)))
+    magnitude = np.abs(share)
+    return float(
+        np.sum(np.where(magnitude <= _HUBER, magnitude**2, 2.0 * _HUBER * magnitude - _HUBER**2))
+    )
 
 
 def known_combinations(found: Estimate) -> list[FloatArray] | None:
@@ -382,9 +390,9 @@ def known_combinations(found: Estimate) -> list[FloatArray] | None:
     Returns None if the data determines each number by itself. A combination is a product of the
     numbers, each to its exponent. Directions whose deviation exceeds ``UNKNOWN`` are left out.
     """
-    left, spread, rows = np.linalg.svd(found.jacobian, full_matrices=False)
-    del left
-    known = spread > 1.0 / UNKNOWN
+    left_vectors, singular_values, rows = np.linalg.svd(found.jacobian, full_matrices=False)
+    del left_vectors
+    known = singular_values > 1.0 / UNKNOWN
     if known.all():
         return None
     return [_simple(row) for row in _reduced(rows[known])]
@@ -399,9 +407,9 @@ def _reduced(rows: FloatArray) -> FloatArray:
         row, column = divmod(int(np.argmax(free > 0.5 * free.max())), free.shape[1])
         basis[[k, k + row]] = basis[[k + row, k]]
         basis[k] /= basis[k, column]
-        for other in range(len(basis)):
-            if other != k:
-                basis[other] -= basis[other, column] * basis[k]
+        for other_row in range(len(basis)):
+            if other_row != k:
+                basis[other_row] -= basis[other_row, column] * basis[k]
     return basis
 
 
@@ -413,10 +421,10 @@ def _simple(row: FloatArray) -> FloatArray:
 
 def combination_text(names: Sequence[str], exponents: FloatArray) -> str:
     """Return a combination as a product of powers, such as ``a * b^2 / c``."""
-    above = [_power(n, e) for n, e in zip(names, exponents, strict=True) if e > 0]
-    below = [_power(n, -e) for n, e in zip(names, exponents, strict=True) if e < 0]
-    text = " * ".join(above) or "1"
-    return text + "".join(f" / {part}" for part in below)
+    numerator = [_power(n, e) for n, e in zip(names, exponents, strict=True) if e > 0]
+    denominator = [_power(n, -e) for n, e in zip(names, exponents, strict=True) if e < 0]
+    text = " * ".join(numerator) or "1"
+    return text + "".join(f" / {part}" for part in denominator)
 
 
 def _power(name: str, exponent: float) -> str:

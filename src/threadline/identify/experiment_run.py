@@ -30,7 +30,7 @@ from threadline.twin.simulate import simulate
 
 RESPONSE = "response"
 """Key in a recording's origin whose value is the measured response, as JSON."""
-_SPARE = 2.0  # an axis may coast this many times as far as its machine file says
+_COAST_FACTOR = 2.0  # an axis may coast this many times as far as its machine file says
 LINKS = ("sim", *(f"hal:{what}" for what in WHAT))
 
 
@@ -120,11 +120,11 @@ def predict(machine: Machine, planned: Experiment) -> Prediction:
         If the load would leave its travel or exceed the speed of the axis, or the motor would reach
         its current limit.
     """
-    own = axis_loop(machine, planned.axis)
+    loop = axis_loop(machine, planned.axis)
     tick_s = float(machine.tick_clock.period_s)
-    if planned.kind == "sweep" and not own.single and own.period_s != tick_s:
+    if planned.kind == "sweep" and not loop.single and loop.period_s != tick_s:
         raise MachineError(
-            f"axis {planned.axis}: its state-space controller runs every {1e3 * own.period_s:.4g} "
+            f"axis {planned.axis}: its state-space controller runs every {1e3 * loop.period_s:.4g} "
             f"ms and its references come every {1e3 * tick_s:.4g} ms, so that a recording shows "
             "its volts at some ticks only; nothing has moved",
             place=machine.place,
@@ -134,7 +134,7 @@ def predict(machine: Machine, planned: Experiment) -> Prediction:
     columns = {name.partition(" ")[0]: v for name, v in columns_of(recording).items()}
     axis, limits = planned.axis, machine.axes[planned.axis]
     load = columns[f"{axis}.load"]
-    found = Prediction(
+    prediction = Prediction(
         duration_s=float(duration_s(planned.commands)),
         lowest=float(load.min()),
         highest=float(load.max()),
@@ -142,38 +142,39 @@ def predict(machine: Machine, planned: Experiment) -> Prediction:
         current_a=float(np.abs(columns[f"{axis}.current_peak"]).max()),
     )
     # A coast measures the friction, which may be far less than the machine file says.
-    farthest = found.highest
+    farthest_si = prediction.highest
     if planned.cut_at_si is not None:
-        farthest = planned.cut_at_si + _SPARE * (found.highest - planned.cut_at_si)
+        farthest_si = planned.cut_at_si + _COAST_FACTOR * (prediction.highest - planned.cut_at_si)
     drive = machine.motors[machine.controller_of(axis).drive].amplifier
     low, high = (None, None) if limits.travel is None else limits.travel
     unit = "m" if limits.kind == "linear" else "rad"
-    for quantity, value, limit, what in (
-        ("position", farthest, None if high is None else high.si, unit),
-        ("position", -found.lowest, None if low is None else -low.si, unit),
-        ("velocity", found.speed, limits.velocity.si, f"{unit}/s"),
-        ("current", found.current_a, _si(drive.current_limit), "A"),
+    for quantity, value, limit, unit_text in (
+        ("position", farthest_si, None if high is None else high.si, unit),
+        ("position", -prediction.lowest, None if low is None else -low.si, unit),
+        ("velocity", prediction.speed, limits.velocity.si, f"{unit}/s"),
+        ("current", prediction.current_a, _si(drive.current_limit), "A"),
     ):
         # A current that is limited is reached, not exceeded.
         reached = limit is not None and value >= limit * (1.0 - 1e-9)
         if limit is not None and (reached if quantity == "current" else value > limit):
             raise LimitError(
-                f"axis {axis}: the {planned.kind} would reach a {quantity} of {value:.4g} {what}, "
-                f"limit {limit:.4g} {what}; nothing has moved",
+                f"axis {axis}: the {planned.kind} would reach a {quantity} of {value:.4g} "
+                f"{unit_text}, "
+                f"limit {limit:.4g} {unit_text}; nothing has moved",
                 axis=axis,
                 quantity=quantity,
                 value_si=value,
                 limit_si=limit,
                 remedy="Give a smaller --amplitude.",
             )
-    return found
+    return prediction
 
 
 def _si(quantity: object) -> float | None:
     return getattr(quantity, "si", None)
 
 
-class _Kept:
+class _KeptSamples:
     """A sink that keeps the samples."""
 
     def __init__(self) -> None:
@@ -224,37 +225,39 @@ def measure(
     RecordingError
         If nothing was recorded.
     """
-    kept = _Kept()
+    samples = _KeptSamples()
     with closing(Desk()) as desk:
         ended, why, _ = run_commands(
             planned.commands,
             planned.on(machine),
             _connected(machine, planned, link, actual, speed, fault),
             desk,
-            kept,
+            samples,
             speed=speed if link == "sim" else 1.0,
         )
     origin = {"machine": machine.reference, "experiment": planned.kind, "axis": planned.axis}
     recording = Recording(
-        channels=kept.channels,
-        blocks=Stream.of(kept.blocks),
+        channels=samples.channels,
+        blocks=Stream.of(samples.blocks),
         job_sha256="",
         machine_sha256=machine.sha256,
-        simulated=kept.simulated,
-        origin={**origin, "link": link, **_cut(planned)},
+        simulated=samples.simulated,
+        origin={**origin, "link": link, **_cut_origin(planned)},
     )
-    if not any(len(v) for block in kept.blocks for v in block.samples.values()):
+    if not any(len(v) for block in samples.blocks for v in block.samples.values()):
         raise RecordingError(f"nothing was recorded: {why or ended.value}")
     response = None
-    volts = any(one.name.partition(" ")[0] == f"{planned.axis}.voltage" for one in kept.channels)
-    if planned.kind == "sweep" and ended is RunEnd.COMPLETED and volts:
+    has_volts = any(
+        channel.name.partition(" ")[0] == f"{planned.axis}.voltage" for channel in samples.channels
+    )
+    if planned.kind == "sweep" and ended is RunEnd.COMPLETED and has_volts:
         response = evaluate(machine, planned, recording)
         with_response = {**recording.origin, RESPONSE: _written(response)}
         recording = replace(recording, origin=with_response)
     return Measurement(recording=recording, response=response, ended=ended, why=why)
 
 
-def _cut(planned: Experiment) -> dict[str, str]:
+def _cut_origin(planned: Experiment) -> dict[str, str]:
     return {} if planned.cut_at_si is None else {CUT_AT: repr(planned.cut_at_si)}
 
 
@@ -269,9 +272,9 @@ def _connected(
     start = planned.commands.start_counts
     if link == "sim":
         # The simulated machine reports itself as the machine in the file, as a real one would.
-        far = machine if actual is None else replace(actual, sha256=machine.sha256)
-        check_same_axes(machine, far)
-        return sim_link(planned.on(far), start, speed, fault)
+        far_machine = machine if actual is None else replace(actual, sha256=machine.sha256)
+        check_same_axes(machine, far_machine)
+        return sim_link(planned.on(far_machine), start, speed, fault)
     if link not in LINKS:
         raise OptionError(
             f"there is no link {link[:20]!r} to measure on", remedy=f"Use {', '.join(LINKS)}."
@@ -305,32 +308,34 @@ def evaluate(machine: Machine, planned: Experiment, recording: Recording) -> Mea
     position = columns[f"{axis}.measured"] * machine.axes[axis].counts.si
     volts = columns[f"{axis}.voltage"]
     tick_s = float(machine.tick_clock.period_s)
-    own = axis_loop(machine, axis)
-    held = own.period_s == tick_s
-    if held:  # the volts that act from a sample on are recorded with the next sample
+    loop = axis_loop(machine, axis)
+    same_period = loop.period_s == tick_s
+    if same_period:  # the volts that act from a sample on are recorded with the next sample
         volts = np.append(volts[1:], volts[-1])
     periods = (len(position) - planned.first) // planned.period
     periods = min(periods, (planned.commands.tick_count() // planned.period) - 2)
     hertz = planned.lines / (planned.period * tick_s)
 
     def lines(values: FloatArray) -> ComplexArray:
-        whole = values[planned.first : planned.first + periods * planned.period]
-        return np.fft.rfft(whole.reshape(periods, planned.period), axis=1)[:, planned.lines]
+        periods_used = values[planned.first : planned.first + periods * planned.period]
+        return np.fft.rfft(periods_used.reshape(periods, planned.period), axis=1)[:, planned.lines]
 
     M, U = lines(position), lines(volts)
-    if not held:
-        wanted = lines(columns[f"{axis}.commanded"] * machine.axes[axis].counts.si)
-        error = wanted * _hold(hertz, tick_s) - M
-        U = error * own.filters[own.index].sampled_response(2.0 * np.pi * hertz)
-    cross, force = (M * U.conj()).sum(axis=0), (np.abs(U) ** 2).sum(axis=0)
-    reached = (np.abs(M) ** 2).sum(axis=0)
-    moved = (force > 0.0) & (reached > 0.0)
-    hertz = hertz[moved]
-    value = cross[moved] / force[moved] / _hold(hertz, own.period_s)
+    if not same_period:
+        reference = lines(columns[f"{axis}.commanded"] * machine.axes[axis].counts.si)
+        error = reference * _hold(hertz, tick_s) - M
+        U = error * loop.filters[loop.index].sampled_response(2.0 * np.pi * hertz)
+    cross, volts_power = (M * U.conj()).sum(axis=0), (np.abs(U) ** 2).sum(axis=0)
+    position_power = (np.abs(M) ** 2).sum(axis=0)
+    has_motion = (volts_power > 0.0) & (position_power > 0.0)
+    hertz = hertz[has_motion]
+    value = cross[has_motion] / volts_power[has_motion] / _hold(hertz, loop.period_s)
     return MeasuredResponse(
         frequency_hz=hertz,
         value=np.asarray(value, dtype=np.complex128),
-        coherence=np.minimum(np.abs(cross[moved]) ** 2 / (force * reached)[moved], 1.0),
+        coherence=np.minimum(
+            np.abs(cross[has_motion]) ** 2 / (volts_power * position_power)[has_motion], 1.0
+        ),
         unit="count",
         axis=axis,
         output=f"sensors.{machine.controller_of(axis).sensor}",
@@ -380,9 +385,12 @@ def response_of(origin: Mapping[str, str], place: Place | None = None) -> Measur
             for key in ("frequency_hz", "real", "imag", "coherence")
         )
         words = [content[key] for key in ("unit", "axis", "output")]
-        if len({one.shape for one in (frequency, real, imag, coherence)}) != 1 or real.ndim != 1:
+        if (
+            len({column.shape for column in (frequency, real, imag, coherence)}) != 1
+            or real.ndim != 1
+        ):
             raise ValueError("columns of different lengths")
-        if not all(np.isfinite(one).all() for one in (frequency, real, imag, coherence)):
+        if not all(np.isfinite(column).all() for column in (frequency, real, imag, coherence)):
             raise ValueError("a number that is not finite")
         if not all(isinstance(word, str) for word in words):
             raise ValueError("its unit, axis or output is no text")
@@ -390,11 +398,11 @@ def response_of(origin: Mapping[str, str], place: Place | None = None) -> Measur
         if unit.removesuffix("/V") not in OUTPUTS:
             raise ValueError(f"{unit[:20]!r} is no output per volt")
     except (KeyError, TypeError, ValueError, OverflowError, RecursionError) as error:
-        why = f"{error} is missing" if isinstance(error, KeyError) else str(error)
+        fault = f"{error} is missing" if isinstance(error, KeyError) else str(error)
         raise RecordingError(
-            f"its response is damaged: {why}", place=place, remedy="Measure again."
+            f"its response is damaged: {fault}", place=place, remedy="Measure again."
         ) from error
-    found = MeasuredResponse(
+    response = MeasuredResponse(
         frequency_hz=frequency,
         value=np.asarray(real + 1j * imag, dtype=np.complex128),
         coherence=coherence,
@@ -403,5 +411,5 @@ def response_of(origin: Mapping[str, str], place: Place | None = None) -> Measur
         output=output,
         place=place,
     )
-    check_response(found)
-    return found
+    check_response(response)
+    return response

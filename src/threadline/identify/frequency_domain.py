@@ -52,20 +52,20 @@ class ResponseData:
     weight: FloatArray = field(init=False)
 
     def __post_init__(self) -> None:
-        good, left_out = usable(self.measured)
+        is_usable, left_out = usable(self.measured)
         coherence = self.measured.coherence
-        weight = np.ones(int(np.sum(good)))
+        weight = np.ones(int(np.sum(is_usable)))
         if coherence is not None:
             # The relative deviation of a response is sqrt((1 - c) / (2 c n)) for n averages (Bendat
             # and Piersol, *Random Data*, 2010, section 9.2); the fit finds the common factor.
-            sure = np.minimum(coherence[good], _SURE)
-            weight = np.sqrt(sure / (1.0 - sure))
+            clipped_coherence = np.minimum(coherence[is_usable], _SURE)
+            weight = np.sqrt(clipped_coherence / (1.0 - clipped_coherence))
             weight /= np.median(weight)
         for name, value in (
             ("path", path_of(self.machine, self.measured, self.axis)),
             ("left_out", left_out),
-            ("omega", 2.0 * np.pi * self.measured.frequency_hz[good]),
-            ("value", self.measured.value[good]),
+            ("omega", 2.0 * np.pi * self.measured.frequency_hz[is_usable]),
+            ("value", self.measured.value[is_usable]),
             ("weight", weight),
         ):
             object.__setattr__(self, name, value)
@@ -118,12 +118,12 @@ class ResponseData:
         values = Values(self.machine, numbers, count)
         model = model_response(self.machine, values, self.path, self.omega)
         with np.errstate(divide="ignore", invalid="ignore"):
-            apart = np.log(self.value / model)
-        size = apart.real
+            log_ratio = np.log(self.value / model)
+        log_magnitude = log_ratio.real
         if not self.measured.absolute:
             share = self.weight**2 / np.sum(self.weight**2)
-            size = size - (size @ share)[:, None]
-        return np.concatenate((size * self.weight, apart.imag * self.weight), axis=1)
+            log_magnitude = log_magnitude - (log_magnitude @ share)[:, None]
+        return np.concatenate((log_magnitude * self.weight, log_ratio.imag * self.weight), axis=1)
 
     def left_over(self, residual: FloatArray, noise: FloatArray) -> list[str]:
         """Describe where the residuals of the fitted response exceed their noise.
@@ -139,22 +139,24 @@ class ResponseData:
         count = len(self.omega)
         width = min(7, count)
         hertz = self.omega / (2.0 * np.pi)
-        found = []
-        for at, what in ((0, "magnitude"), (count, "phase")):
-            share = (residual / noise)[at : at + count]
-            apart = residual[at : at + count] / self.weight
+        texts = []
+        for offset, quantity in ((0, "magnitude"), (count, "phase")):
+            share = (residual / noise)[offset : offset + count]
+            unweighted = residual[offset : offset + count] / self.weight
             mean = np.convolve(share, np.ones(width) / np.sqrt(width), mode="valid")
-            beyond = np.flatnonzero(np.abs(mean) > _UNLIKELY)
-            for run in np.split(beyond, np.flatnonzero(np.diff(beyond) > width) + 1):
+            unlikely = np.flatnonzero(np.abs(mean) > _UNLIKELY)
+            for run in np.split(unlikely, np.flatnonzero(np.diff(unlikely) > width) + 1):
                 if not len(run):
                     continue
                 worst = run[int(np.argmax(np.abs(mean[run])))]
-                size = float(np.mean(apart[worst : worst + width]))
-                off = (
-                    f"{100.0 * np.expm1(size):+.1f} %" if not at else f"{np.degrees(size):+.1f} deg"
+                size = float(np.mean(unweighted[worst : worst + width]))
+                off_text = (
+                    f"{100.0 * np.expm1(size):+.1f} %"
+                    if not offset
+                    else f"{np.degrees(size):+.1f} deg"
                 )
-                found.append(
-                    f"{what} from {hertz[run[0]]:.4g} to {hertz[run[-1] + width - 1]:.4g} Hz: "
-                    f"measured {off} from the fit"
+                texts.append(
+                    f"{quantity} from {hertz[run[0]]:.4g} to {hertz[run[-1] + width - 1]:.4g} Hz: "
+                    f"measured {off_text} from the fit"
                 )
-        return found
+        return texts

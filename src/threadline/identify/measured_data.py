@@ -70,17 +70,17 @@ def read_data(file: str, machine: Machine, axis: str = "") -> Data:
 def _response_in(path: Path, machine: Machine) -> MeasuredResponse:
     """Return the response that is stored with the raw run of a measured sweep."""
     recording, place = read_recording(path), Place(str(path))
-    found = response_of(recording.origin, place)
-    if found is None:
+    response = response_of(recording.origin, place)
+    if response is None:
         raise RecordingError(
             "it has no response",
             place=place,
             remedy="threadline measure --experiment sweep writes one.",
         )
     # The response alone would fit any machine with such an axis.
-    if found.axis in machine.axes and machine.axes[found.axis].controller:
-        check_run(recording, machine, found.axis, place)
-    return found
+    if response.axis in machine.axes and machine.axes[response.axis].controller:
+        check_run(recording, machine, response.axis, place)
+    return response
 
 
 def _is_trace(path: Path) -> bool:

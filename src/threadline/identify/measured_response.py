@@ -108,25 +108,28 @@ def check_response(measured: MeasuredResponse) -> None:
         If there are no points, frequencies do not increase or lie outside 1e-6 to 1e9 Hz,
         magnitudes lie outside 1e-100 to 1e100, or a coherence is not from 0 to 1.
     """
-    hertz, size, coherence = measured.frequency_hz, np.abs(measured.value), measured.coherence
-    what, remedy = "", "Remove or correct the points."
+    hertz, magnitude, coherence = measured.frequency_hz, np.abs(measured.value), measured.coherence
+    fault, remedy = "", "Remove or correct the points."
     if not len(hertz):
-        what, remedy = "the response has no points", "Measure again."
+        fault, remedy = "the response has no points", "Measure again."
     elif (np.diff(hertz) <= 0.0).any():
-        at = int(np.argmax(np.diff(hertz) <= 0.0)) + 1
-        what, remedy = f"frequency {hertz[at]:g} Hz does not increase", "Sort the points."
+        row = int(np.argmax(np.diff(hertz) <= 0.0)) + 1
+        fault, remedy = f"frequency {hertz[row]:g} Hz does not increase", "Sort the points."
     elif not _FREQUENCIES_HZ[0] <= hertz[0] <= hertz[-1] <= _FREQUENCIES_HZ[1]:
-        odd = hertz[0] if hertz[0] < _FREQUENCIES_HZ[0] else hertz[-1]
-        what = f"frequency {odd:g} Hz is not from 1e-06 to 1e+09 Hz"
-    elif not (size.min() >= _MAGNITUDES[0] and size.max() <= _MAGNITUDES[1]):
-        outside = ~((size >= _MAGNITUDES[0]) & (size <= _MAGNITUDES[1]))
-        at = int(np.argmax(outside))
-        what = f"magnitude {size[at]:g} at {hertz[at]:g} Hz is not from 1e-100 to 1e+100"
+        odd_value = hertz[0] if hertz[0] < _FREQUENCIES_HZ[0] else hertz[-1]
+        fault = f"frequency {odd_value:g} Hz is not from 1e-06 to 1e+09 Hz"
+    elif not (magnitude.min() >= _MAGNITUDES[0] and magnitude.max() <= _MAGNITUDES[1]):
+        outside = ~((magnitude >= _MAGNITUDES[0]) & (magnitude <= _MAGNITUDES[1]))
+        row = int(np.argmax(outside))
+        fault = f"magnitude {magnitude[row]:g} at {hertz[row]:g} Hz is not from 1e-100 to 1e+100"
     elif coherence is not None and not ((coherence >= 0.0) & (coherence <= 1.0)).all():
-        odd = coherence[int(np.argmax(np.abs(coherence - 0.5)))]
-        what, remedy = f"coherence {odd:g} is not from 0 to 1", "Correct the column, or remove it."
-    if what:
-        raise RecordingError(what, place=measured.place, remedy=remedy)
+        odd_value = coherence[int(np.argmax(np.abs(coherence - 0.5)))]
+        fault, remedy = (
+            f"coherence {odd_value:g} is not from 0 to 1",
+            "Correct the column, or remove it.",
+        )
+    if fault:
+        raise RecordingError(fault, place=measured.place, remedy=remedy)
 
 
 _RATES = {"": 0, "/s": 1, "/s^2": 2}
@@ -170,7 +173,7 @@ def path_of(machine: Machine, measured: MeasuredResponse, axis: str = "") -> Pat
     axis = _axis(machine, measured, axis)
     controller = machine.controller_of(axis)
     base, rates = _unit(measured)
-    output = measured.output or _usual(machine, axis, base)
+    output = measured.output or _usual_output(machine, axis, base)
     scale = 1.0
     if output == MOTOR:
         sensor = machine.sensors[controller.sensor]
@@ -196,23 +199,23 @@ def path_of(machine: Machine, measured: MeasuredResponse, axis: str = "") -> Pat
 
 
 def _axis(machine: Machine, measured: MeasuredResponse, axis: str) -> str:
-    named = measured.axis or axis
-    closed = [name for name, one in machine.axes.items() if one.controller]
-    if not named and len(closed) == 1:
-        return closed[0]
-    if not named:
+    axis_name = measured.axis or axis
+    controlled = [name for name, axis_part in machine.axes.items() if axis_part.controller]
+    if not axis_name and len(controlled) == 1:
+        return controlled[0]
+    if not axis_name:
         raise OptionError(
-            f"the response does not name its axis, and {machine.name} has {', '.join(closed)}",
+            f"the response does not name its axis, and {machine.name} has {', '.join(controlled)}",
             place=measured.place,
             remedy="Name it with --axis.",
         )
-    if named not in closed:
+    if axis_name not in controlled:
         raise OptionError(
-            f"machine {machine.name!r} has no axis {named!r} with a control loop",
+            f"machine {machine.name!r} has no axis {axis_name!r} with a control loop",
             place=measured.place,
-            remedy=f"It has: {', '.join(closed) or 'none'}.",
+            remedy=f"It has: {', '.join(controlled) or 'none'}.",
         )
-    return named
+    return axis_name
 
 
 def _unit(measured: MeasuredResponse) -> tuple[str, int]:
@@ -225,7 +228,7 @@ def _unit(measured: MeasuredResponse) -> tuple[str, int]:
     return measured.unit, 0
 
 
-def _usual(machine: Machine, axis: str, base: str) -> str:
+def _usual_output(machine: Machine, axis: str, base: str) -> str:
     if base == "count":
         return f"sensors.{machine.controller_of(axis).sensor}"
     if base in {"m", "rad"} and machine.axes[axis].kind == {"m": "linear", "rad": "rotary"}[base]:
@@ -237,9 +240,9 @@ def _unit_of(machine: Machine, axis: str, output: str, measured: MeasuredRespons
     kind, _, name = output.partition(".")
     if kind == "sensors" and name in machine.sensors:
         return "count" if isinstance(machine.sensors[name], Encoder) else "V"
-    if output in {f"{axis}.{what}" for what in ("measured", "load", "frame")}:
+    if output in {f"{axis}.{suffix}" for suffix in ("measured", "load", "frame")}:
         return "m" if machine.axes[axis].kind == "linear" else "rad"
-    known = [*(f"sensors.{one}" for one in machine.sensors), MOTOR, f"{axis}.load"]
+    known = [*(f"sensors.{sensor}" for sensor in machine.sensors), MOTOR, f"{axis}.load"]
     raise OptionError(
         f"machine {machine.name!r} has no output {output!r}",
         place=measured.place,
@@ -262,8 +265,8 @@ def model_response(machine: Machine, values: Values, path: Path, omega: FloatArr
     """
     for piece in linear_variants(machine, values, drive=path.drive.removeprefix("drives.")):
         if path.output in piece.outputs:
-            found = piece.response(path.drive, path.output, omega)
-            return np.asarray(found * path.scale * (1j * omega) ** path.rates)
+            response = piece.response(path.drive, path.output, omega)
+            return np.asarray(response * path.scale * (1j * omega) ** path.rates)
     raise OptionError(
         f"{path.output} does not move with {path.drive}",
         place=machine.place,
@@ -281,14 +284,15 @@ def usable(measured: MeasuredResponse) -> tuple[NDArray[np.bool_], int]:
     """
     if measured.coherence is None:
         return np.ones(len(measured.value), dtype=np.bool_), 0
-    good = measured.coherence >= LEAST_COHERENCE
-    out = int(np.sum(~good))
-    if 2 * out > len(good):
+    is_coherent = measured.coherence >= LEAST_COHERENCE
+    left_out = int(np.sum(~is_coherent))
+    if 2 * left_out > len(is_coherent):
         worst = measured.frequency_hz[int(np.argmin(measured.coherence))]
         raise RecordingError(
-            f"{out} of {len(good)} points have a coherence below {LEAST_COHERENCE:g} (lowest "
+            f"{left_out} of {len(is_coherent)} points have a coherence below {LEAST_COHERENCE:g} "
+            "(lowest "
             f"{measured.coherence.min():.2g} at {worst:.4g} Hz)",
             place=measured.place,
             remedy="Measure again, with a larger amplitude or more averages.",
         )
-    return good, out
+    return is_coherent, left_out

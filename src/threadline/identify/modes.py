@@ -41,9 +41,11 @@ _WIDE, _WIDTHS = (
 _USUAL = 1e-20, 1e20
 """Usual range of the greatest power of a line; outside it all powers are divided by the
 greatest."""
-_REST = 0.4  # share of the window's width; a narrower mode looks like the window itself
-_SEEN = 4.0  # least power of a peak over the median of all lines
-_OTHERS = 1.0 / 20.0  # Klipper ignores power below this share of the peak
+_LEAST_WIDTH_SHARE = (
+    0.4  # share of the window's width; a narrower mode looks like the window itself
+)
+_LEAST_PEAK_RATIO = 4.0  # least power of a peak over the median of all lines
+_LEAST_OTHER_POWER = 1.0 / 20.0  # Klipper ignores power below this share of the peak
 _UNKNOWN = 0.35  # half width of the damping over its value, beyond which it is refused
 _FINE = 24  # points of the model to a line of a spectrum
 _CLEAR, _FALL = 5, 1.5  # an end of the sweep: lines off the peak, and fall of log power over three
@@ -155,35 +157,39 @@ def measured_mode(
     if axis is not None and axis.lower() not in AXES:
         raise OptionError(f"--axis {axis!r} is unknown", remedy=f"Axes: {', '.join(AXES)}.")
     f, power = _lines(data)
-    most = float(power.max(initial=0.0))
-    if not _USUAL[0] < most < _USUAL[1]:  # in odd units, or hardly anything
-        power = power / (most or 1.0)
+    largest_power = float(power.max(initial=0.0))
+    if not _USUAL[0] < largest_power < _USUAL[1]:  # in odd units, or hardly anything
+        power = power / (largest_power or 1.0)
     weight = 1.0 if isinstance(data, Spectrum) and data.normalised else 1.0 / f
     low = max(data.lowest_hz, 4.0 * float(f[1] - f[0]))
-    inside = (f >= low) & (f <= MOST_HZ)
-    if int(inside.sum()) < _BINS // 5:
+    in_range = (f >= low) & (f <= MOST_HZ)
+    if int(in_range.sum()) < _BINS // 5:
         raise RecordingError(
-            f"the data has {int(inside.sum())} lines from {low:.3g} to {MOST_HZ:g} Hz",
+            f"the data has {int(in_range.sum())} lines from {low:.3g} to {MOST_HZ:g} Hz",
             place=data.place,
             remedy="Record for longer.",
         )
-    coarse_f, coarse = _coarse(f[inside], (power * np.reshape(weight, (-1, 1)))[inside])
-    chosen = AXES.index(axis.lower()) if axis is not None else int(np.argmax(coarse.max(axis=0)))
-    shape = coarse[:, chosen]
+    coarse_f, coarse = _coarse(f[in_range], (power * np.reshape(weight, (-1, 1)))[in_range])
+    axis_index = (
+        AXES.index(axis.lower()) if axis is not None else int(np.argmax(coarse.max(axis=0)))
+    )
+    shape = coarse[:, axis_index]
     top = int(np.argmax(shape))
-    at, height = float(coarse_f[top]), float(shape[top])
-    if height < _SEEN * float(np.median(shape)) or top in (0, len(shape) - 1):
+    peak_hz, height = float(coarse_f[top]), float(shape[top])
+    if height < _LEAST_PEAK_RATIO * float(np.median(shape)) or top in (0, len(shape) - 1):
         raise RecordingError(
-            f"nothing rings along {AXES[chosen]} from {low:.3g} to {coarse_f[-1]:.4g} Hz",
+            f"nothing rings along {AXES[axis_index]} from {low:.3g} to {coarse_f[-1]:.4g} Hz",
             place=data.place,
             remedy="Shake that axis through its resonance, or name another with --axis.",
         )
-    fit = _fitted(data, f, power[:, chosen], at, damping)
-    near = np.abs(coarse_f - at) <= max(0.1 * at, 2.0 * float(coarse_f[1] - coarse_f[0]))
-    each = coarse[near].sum(axis=0)
-    x, y, z = (each / each.sum()).tolist()
+    fit = _fitted(data, f, power[:, axis_index], peak_hz, damping)
+    is_near = np.abs(coarse_f - peak_hz) <= max(
+        0.1 * peak_hz, 2.0 * float(coarse_f[1] - coarse_f[0])
+    )
+    axis_power = coarse[is_near].sum(axis=0)
+    x, y, z = (axis_power / axis_power.sum()).tolist()
     return MeasuredMode(
-        axis=AXES[chosen],
+        axis=AXES[axis_index],
         frequency_hz=fit.frequency,
         damping_ratio=fit.damping,
         shares=(x, y, z),
@@ -202,12 +208,12 @@ def _lines(data: Vibration | Spectrum) -> tuple[FloatArray, FloatArray]:
         return np.asarray(f[keep]), data.psd[keep]
     from scipy import signal
 
-    whole = signal.detrend(data.acceleration_m_s2, axis=0)
-    edge = signal.windows.tukey(len(whole), 0.02)[:, None]
-    spectrum = np.fft.rfft(whole * edge, axis=0)[1:]
-    f = np.fft.rfftfreq(len(whole), 1.0 / data.rate_hz)[1:]
+    detrended = signal.detrend(data.acceleration_m_s2, axis=0)
+    taper = signal.windows.tukey(len(detrended), 0.02)[:, None]
+    spectrum = np.fft.rfft(detrended * taper, axis=0)[1:]
+    f = np.fft.rfftfreq(len(detrended), 1.0 / data.rate_hz)[1:]
     keep = f <= 1.6 * MOST_HZ
-    power = np.square(np.abs(spectrum[keep])) / (len(whole) * data.rate_hz)
+    power = np.square(np.abs(spectrum[keep])) / (len(detrended) * data.rate_hz)
     return np.asarray(f[keep], dtype=np.float64), np.asarray(power, dtype=np.float64)
 
 
@@ -229,12 +235,14 @@ def _others(
 ) -> tuple[tuple[float, float], ...]:
     from scipy import signal
 
-    peaks, _ = signal.find_peaks(shape, prominence=_OTHERS * shape[top])
-    apart = max(0.1, 3.0 * damping) * f[top]
-    found = [
-        (float(f[k]), float(shape[k] / shape[top])) for k in peaks if abs(f[k] - f[top]) > apart
+    peaks, _ = signal.find_peaks(shape, prominence=_LEAST_OTHER_POWER * shape[top])
+    least_apart_hz = max(0.1, 3.0 * damping) * f[top]
+    other_peaks = [
+        (float(f[k]), float(shape[k] / shape[top]))
+        for k in peaks
+        if abs(f[k] - f[top]) > least_apart_hz
     ]
-    return tuple(sorted(found, key=lambda one: -one[1])[:3])
+    return tuple(sorted(other_peaks, key=lambda peak: -peak[1])[:3])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -247,50 +255,54 @@ class _Fit:
 
 
 def _fitted(
-    data: Vibration | Spectrum, f: FloatArray, power: FloatArray, at: float, damping: float | None
+    data: Vibration | Spectrum,
+    f: FloatArray,
+    power: FloatArray,
+    peak_hz: float,
+    damping: float | None,
 ) -> _Fit:
     step = float(f[1] - f[0])
 
-    def over(reach: float, at: float, starts: tuple[float, ...]) -> _Fit:
-        lines, mean = _within_sweep(data, f, power, (at, max(reach * at, 8.0 * step)))
-        return _least_squares(data, lines, mean, (at, *starts), damping)
+    def fit_over(reach: float, peak_hz: float, starts: tuple[float, ...]) -> _Fit:
+        lines, mean = _within_sweep(data, f, power, (peak_hz, max(reach * peak_hz, 8.0 * step)))
+        return _least_squares(data, lines, mean, (peak_hz, *starts), damping)
 
-    def again(fit: _Fit, widths: float) -> _Fit:
+    def fit_again(fit: _Fit, widths: float) -> _Fit:
         ratio = fit.damping.value
         reach = float(np.clip(widths * ratio, 0.05, _WIDE))
-        return over(reach, fit.frequency.value, (ratio,))
+        return fit_over(reach, fit.frequency.value, (ratio,))
 
-    first = again(over(_WIDE, at, _STARTS), 6.0)
-    found = again(first, _WIDTHS[0])
-    near = again(found, _WIDTHS[1])
-    found = replace(
-        found,
-        frequency=_with(found.frequency, near.frequency),
-        damping=_with(found.damping, near.damping),
+    first = fit_again(fit_over(_WIDE, peak_hz, _STARTS), 6.0)
+    best_fit = fit_again(first, _WIDTHS[0])
+    narrow_fit = fit_again(best_fit, _WIDTHS[1])
+    best_fit = replace(
+        best_fit,
+        frequency=_widened(best_fit.frequency, narrow_fit.frequency),
+        damping=_widened(best_fit.damping, narrow_fit.damping),
     )
-    _refuse_unresolved(data, found, step, given=damping is not None)
-    return found
+    _refuse_unresolved(data, best_fit, step, given=damping is not None)
+    return best_fit
 
 
-def _with(known: Known, other: Known) -> Known:
+def _widened(known: Known, narrower: Known) -> Known:
     """Widen an interval by twice the difference from a fit over fewer lines."""
     return replace(
-        known, half_width=float(np.hypot(known.half_width, 2.0 * (known.value - other.value)))
+        known, half_width=float(np.hypot(known.half_width, 2.0 * (known.value - narrower.value)))
     )
 
 
 def _within_sweep(
-    data: Vibration | Spectrum, f: FloatArray, power: FloatArray, around: tuple[float, float]
+    data: Vibration | Spectrum, f: FloatArray, power: FloatArray, peak_and_half: tuple[float, float]
 ) -> tuple[FloatArray, FloatArray]:
     """Return lines around a peak, without those beyond an end of the sweep."""
-    at, half = around
-    lines, mean = _binned(f, power, at - half, at + half)
-    many = 2.0 * half / float(f[1] - f[0]) / len(lines) >= _ENOUGH
-    if not (many or isinstance(data, Spectrum)):
+    peak_hz, half_hz = peak_and_half
+    lines, mean = _binned(f, power, peak_hz - half_hz, peak_hz + half_hz)
+    has_many = 2.0 * half_hz / float(f[1] - f[0]) / len(lines) >= _ENOUGH
+    if not (has_many or isinstance(data, Spectrum)):
         return lines, mean
     logs = np.log(np.maximum(mean, np.finfo(float).tiny))
-    peak = int(np.argmin(np.abs(lines - at)))
-    low, high = at - half, at + half
+    peak = int(np.argmin(np.abs(lines - peak_hz)))
+    low, high = peak_hz - half_hz, peak_hz + half_hz
     for k in range(peak + _CLEAR, len(lines) - 3):
         if logs[k] - logs[k + 3] > _FALL:
             high = float(lines[k])
@@ -305,8 +317,8 @@ def _within_sweep(
 def _binned(
     f: FloatArray, power: FloatArray, low: float, high: float
 ) -> tuple[FloatArray, FloatArray]:
-    inside = (f >= low) & (f <= high)
-    f, power = f[inside], power[inside]
+    in_range = (f >= low) & (f <= high)
+    f, power = f[in_range], power[in_range]
     count = min(len(f), _BINS)
     edges = np.linspace(0, len(f), count + 1).astype(np.int64)[:-1]
     size = np.diff(np.append(edges, len(f)))
@@ -326,55 +338,58 @@ def _least_squares(
 
     ``starts`` are the frequency and the damping ratios from which the fit begins.
     """
-    at = starts[0]
+    first_hz = starts[0]
     from scipy import optimize, stats
 
-    seen = _seen_through(data, lines)
+    through_window = _through_window(data, lines)
     floor = float(mean[mean > 0.0].min()) if (mean > 0.0).any() else 1.0
     measured = np.log(np.maximum(mean, floor))
     free = damping is None
 
     def model(p: FloatArray) -> FloatArray:
-        frequency, ratio = at * np.exp(p[0]), np.exp(p[4]) if free else damping
+        frequency, ratio = first_hz * np.exp(p[0]), np.exp(p[4]) if free else damping
         assert ratio is not None
 
         def power(f: FloatArray) -> FloatArray:
             r = f / frequency
             shape = (2.0 * ratio) ** 2 / ((1.0 - r**2) ** 2 + (2.0 * ratio * r) ** 2)
-            beside = (1.0 + p[2] * (1.0 - r**2)) ** 2 + (2.0 * ratio * r * p[2]) ** 2
-            return np.asarray(np.exp(p[1]) * (r**data.drive_power * shape * beside + np.exp(p[3])))
+            residue = (1.0 + p[2] * (1.0 - r**2)) ** 2 + (2.0 * ratio * r * p[2]) ** 2
+            return np.asarray(np.exp(p[1]) * (r**data.drive_power * shape * residue + np.exp(p[3])))
 
-        return np.asarray(np.log(seen(power)))
+        return np.asarray(np.log(through_window(power)))
 
-    def left(p: FloatArray) -> FloatArray:
+    def residual(p: FloatArray) -> FloatArray:
         return model(p) - measured
 
     best = None
     low, high = [-0.3, -60.0, -3.0, -18.0], [0.3, 60.0, 3.0, 1.0]
     for start in starts[1:] if free else (0.0,):
         first = [0.0, float(measured.max()), 0.0, -6.0, *([np.log(start)] if free else [])]
-        one = optimize.least_squares(
-            left,
+        result = optimize.least_squares(
+            residual,
             first,
             bounds=([*low, *([np.log(5e-4)] if free else [])], [*high, *([-0.7] if free else [])]),
             loss="soft_l1",
             f_scale=0.5,
             x_scale="jac",
         )
-        if best is None or one.cost < best.cost:
-            best = one
+        if best is None or result.cost < best.cost:
+            best = result
     assert best is not None
     p = best.x
-    covariance = _covariance(np.asarray(best.jac), left(p))
+    covariance = _covariance(np.asarray(best.jac), residual(p))
     degrees = max(len(lines) - len(p), 1)
-    wide = float(stats.t.ppf(0.975, degrees)) * np.sqrt(np.diag(covariance))
-    frequency = at * float(np.exp(p[0]))
+    half_widths = float(stats.t.ppf(0.975, degrees)) * np.sqrt(np.diag(covariance))
+    frequency = first_hz * float(np.exp(p[0]))
     ratio = float(np.exp(p[4])) if free else float(damping or 0.0)
-    least = _LEAST[type(data)]
+    least_widths = _LEAST[type(data)]
     return _Fit(
-        frequency=Known(value=frequency, half_width=frequency * max(float(wide[0]), least[0])),
+        frequency=Known(
+            value=frequency, half_width=frequency * max(float(half_widths[0]), least_widths[0])
+        ),
         damping=Known(
-            value=ratio, half_width=ratio * max(float(wide[4]), least[1]) if free else 0.0
+            value=ratio,
+            half_width=ratio * max(float(half_widths[4]), least_widths[1]) if free else 0.0,
         ),
         lines_hz=lines,
         power=mean,
@@ -382,20 +397,20 @@ def _least_squares(
     )
 
 
-def _covariance(jacobian: FloatArray, left: FloatArray) -> FloatArray:
+def _covariance(jacobian: FloatArray, residual: FloatArray) -> FloatArray:
     """Return the covariance of the parameters, for residuals that are correlated over lines."""
     n, k = jacobian.shape
     bread = np.linalg.pinv(jacobian.T @ jacobian)
     leverage = np.clip(np.einsum("ij,jk,ik->i", jacobian, bread, jacobian), 0.0, 0.8)
-    score = jacobian * (left / (1.0 - leverage))[:, None]
+    score = jacobian * (residual / (1.0 - leverage))[:, None]
     middle = score.T @ score
     for lag in range(1, min(_LAGS, n - k) + 1):
-        both = score[lag:].T @ score[:-lag]
-        middle += (1.0 - lag / (_LAGS + 1.0)) * (both + both.T)
+        lagged = score[lag:].T @ score[:-lag]
+        middle += (1.0 - lag / (_LAGS + 1.0)) * (lagged + lagged.T)
     return np.asarray(bread @ middle @ bread)
 
 
-def _seen_through(
+def _through_window(
     data: Vibration | Spectrum, lines: FloatArray
 ) -> Callable[[Callable[[FloatArray], FloatArray]], FloatArray]:
     """Return a function from a model of the true power to the modelled power of the lines.
@@ -426,7 +441,7 @@ def _refuse_unresolved(data: Vibration | Spectrum, fit: _Fit, step: float, *, gi
                 remedy=f"Record {3.0 / max(width, 1e-6):.3g} s or more.",
             )
     # Between half powers a Kaiser window with this beta is 1.7 lines wide.
-    elif not given and width < _REST * 1.7 * step:
+    elif not given and width < _LEAST_WIDTH_SHARE * 1.7 * step:
         raise RecordingError(
             f"the spectrum's lines are {step:.3g} Hz apart, too coarse for the damping of a mode "
             f"at {f:.4g} Hz that is about {width:.2g} Hz wide",

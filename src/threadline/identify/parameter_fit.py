@@ -29,7 +29,7 @@ from threadline.machine.numbers import is_whole, number_at, number_tables, with_
 from threadline.machine.quantity import Quantity
 from threadline.units import unit_factor
 
-_SURE = 1.959964  # deviations of a 95 % interval
+_DEVIATIONS_95 = 1.959964  # deviations of a 95 % interval
 _PROFILED = 2
 _CORRELATED = 0.9
 MOST_NUMBERS = 24
@@ -182,36 +182,36 @@ def fit(
     """
     start = _first_guesses(machine, data, names)
     problem = _problem(data, names, start)
-    found = estimate(problem, starts)
-    _refuse_unknown(machine, data, found, start)
-    check_range(found)
-    values = start * np.exp(found.log_factor)
-    worst = np.argsort(-found.deviation)[:_PROFILED].tolist()
+    estimated = estimate(problem, starts)
+    _refuse_unknown(machine, data, estimated, start)
+    check_range(estimated)
+    values = start * np.exp(estimated.log_factor)
+    profiled = np.argsort(-estimated.deviation)[:_PROFILED].tolist()
     numbers = []
     for k, name in enumerate(names):
-        spread = _SURE * found.deviation[k]
+        spread = _DEVIATIONS_95 * estimated.deviation[k]
         # With rounding, the residuals of recordings are rough functions of the numbers, and a
         # profile would follow the roughness.
-        ends = profile(problem, found, k) if k in worst and problem.robust else None
+        ends = profile(problem, estimated, k) if k in profiled and problem.robust else None
         numbers.append(
             FittedNumber(
                 name=name,
                 quantity=number_at(machine, name),
                 value=float(values[k]),
-                deviation=float(found.deviation[k]),
-                least_deviation=float(found.least_deviation[k]),
+                deviation=float(estimated.deviation[k]),
+                least_deviation=float(estimated.least_deviation[k]),
                 interval=(float(values[k] * np.exp(-spread)), float(values[k] * np.exp(spread))),
                 profile=None
                 if ends is None
                 else (float(start[k] * np.exp(ends[0])), float(start[k] * np.exp(ends[1]))),
             )
         )
-    noise, unexplained = _left_over(data, found)
+    noise, unexplained = _left_over(data, estimated)
     return Fit(
         machine=machine,
         fitted=with_numbers(machine, dict(zip(names, values.tolist(), strict=True))),
         numbers=tuple(numbers),
-        estimate=found,
+        estimate=estimated,
         noise=noise,
         unexplained=unexplained,
     )
@@ -240,12 +240,12 @@ def _first_guesses(machine: Machine, data: Sequence[Data], names: Sequence[str])
                 remedy="Write a first guess into the machine file, within a factor of 3.",
             )
         start.append(quantity.si)
-        if not any(_has(one.machine, name) for one in data):
+        if not any(_has_number(source.machine, name) for source in data):
             raise OptionError(f"no data depends on {name}", remedy="Leave it out.")
     return np.array(start)
 
 
-def _has(machine: Machine, name: str) -> bool:
+def _has_number(machine: Machine, name: str) -> bool:
     try:
         number_at(machine, name)
     except OptionError:
@@ -255,78 +255,82 @@ def _has(machine: Machine, name: str) -> bool:
 
 def _problem(data: Sequence[Data], names: Sequence[str], start: FloatArray) -> Problem:
     """Return the fit of all data together, whose residuals follow one after the other."""
-    own = [[k for k, name in enumerate(names) if _has(one.machine, name)] for one in data]
+    names_of = [
+        [k for k, name in enumerate(names) if _has_number(source.machine, name)] for source in data
+    ]
     sources, count = [], 0
-    for one in data:
-        sources.append(one.sources + count)
-        count += int(one.sources.max()) + 1
+    for source in data:
+        sources.append(source.sources + count)
+        count += int(source.sources.max()) + 1
 
     def residuals(log_factor: FloatArray) -> FloatArray:
         values = start * np.exp(log_factor)
         parts = []
-        for one, mine in zip(data, own, strict=True):
-            if mine:
-                parts.append(one.residuals({names[k]: values[:, k] for k in mine}))
+        for source, own_names in zip(data, names_of, strict=True):
+            if own_names:
+                parts.append(source.residuals({names[k]: values[:, k] for k in own_names}))
             else:
-                same = one.residuals(
-                    {names[0]: values[:1, 0]} if _has(one.machine, names[0]) else {}
+                unchanged = source.residuals(
+                    {names[0]: values[:1, 0]} if _has_number(source.machine, names[0]) else {}
                 )
-                parts.append(np.repeat(same, len(values), axis=0))
+                parts.append(np.repeat(unchanged, len(values), axis=0))
         return np.concatenate(parts, axis=1)
 
     return Problem(
         names=tuple(names),
         residuals=residuals,
         source=np.concatenate(sources),
-        floor=np.concatenate([one.floor for one in data]),
-        step=max(one.step for one in data),
-        robust=all(one.robust for one in data),
+        floor=np.concatenate([source.floor for source in data]),
+        step=max(source.step for source in data),
+        robust=all(source.robust for source in data),
     )
 
 
 def _refuse_unknown(
-    machine: Machine, data: Sequence[Data], found: Estimate, start: FloatArray
+    machine: Machine, data: Sequence[Data], estimated: Estimate, start: FloatArray
 ) -> None:
     """Refuse numbers that the data does not determine; name the combinations that it determines."""
-    combinations = known_combinations(found)
+    combinations = known_combinations(estimated)
     if combinations is None:
         return
     known = []
-    inverse = np.linalg.pinv(found.jacobian, rcond=1e-6)
+    inverse = np.linalg.pinv(estimated.jacobian, rcond=1e-6)
     for exponents in combinations:
         deviation = float(np.linalg.norm(exponents @ inverse))
-        value = np.prod(np.abs(start * np.exp(found.log_factor)) ** exponents)
-        text = combination_text(found.names, exponents)
+        value = np.prod(np.abs(start * np.exp(estimated.log_factor)) ** exponents)
+        text = combination_text(estimated.names, exponents)
         known.append(f"{text} = {value:.4g} SI +- {196.0 * deviation:.2g} %")
     if not known:
         raise OptionError(
-            f"the data tells nothing of {', '.join(found.names)}",
+            f"the data tells nothing of {', '.join(estimated.names)}",
             place=machine.place,
             remedy="Name numbers that change the measured output, or measure another output.",
         )
-    remedy = f"Leave out {len(found.names) - len(known)} of the {len(found.names)} numbers"
-    if any(one.normalised for one in data):
+    remedy = f"Leave out {len(estimated.names) - len(known)} of the {len(estimated.names)} numbers"
+    if any(source.normalised for source in data):
         remedy += ", or give responses with an absolute magnitude"
     raise OptionError(
-        f"{len(found.names)} numbers, but the data determines only {len(known)} "
+        f"{len(estimated.names)} numbers, but the data determines only {len(known)} "
         f"combination{'s' * (len(known) != 1)}: {'; '.join(known)}",
         place=machine.place,
         remedy=f"{remedy}.",
     )
 
 
-def _left_over(data: Sequence[Data], found: Estimate) -> tuple[dict[str, float], tuple[str, ...]]:
+def _left_over(
+    data: Sequence[Data], estimated: Estimate
+) -> tuple[dict[str, float], tuple[str, ...]]:
     noise: dict[str, float] = {}
-    said: list[str] = []
-    at = 0
-    for one in data:
-        size = len(one.sources)
-        part = slice(at, at + size)
-        noise[one.name] = float(np.median(found.noise[part]))
-        left = one.left_over(found.residual[part], found.noise[part])
-        said += [f"{one.name}: {text}" for text in left]
-        at += size
-    return noise, tuple(said)
+    unexplained: list[str] = []
+    begin = 0
+    for source in data:
+        size = len(source.sources)
+        rows = slice(begin, begin + size)
+        noise[source.name] = float(np.median(estimated.noise[rows]))
+        texts = source.left_over(estimated.residual[rows], estimated.noise[rows])
+        unexplained += [f"{source.name}: {text}" for text in texts]
+        begin += size
+    return noise, tuple(unexplained)
 
 
 def parse_numbers(text: str, machine: Machine) -> list[str]:

@@ -27,7 +27,10 @@ _SWEEP_SPEED, _SWEEP_ACCELERATION = 0.9, 0.7
 _CONSTANT_SPEEDS = (0.0625, 0.125, 0.25, 0.5)  # shares of the limit
 _PAUSE_S = 0.4
 _COAST_SPEED, _COAST_TRAVEL = 0.5, 0.25  # shares of the limits of the axis
-_CRUISE_S, _COASTED = 0.4, 0.005  # constant speed before the cut; share of it that counts as rest
+_CRUISE_S, _REST_SHARE = (
+    0.4,
+    0.005,
+)  # constant speed before the cut; share of it that counts as rest
 _LONGEST_COAST_S = 60.0
 _MOST_TICKS = 300_000
 
@@ -101,25 +104,25 @@ def experiment(
             f"there is no experiment {kind[:30]!r}", remedy=f"There are {', '.join(EXPERIMENTS)}."
         )
     if axis not in machine.axes or not machine.axes[axis].controller:
-        closed = [name for name, one in machine.axes.items() if one.controller]
+        controlled = [name for name, axis_part in machine.axes.items() if axis_part.controller]
         raise OptionError(
             f"machine {machine.name!r} has no axis {axis[:20]!r} with a control loop",
-            remedy=f"It has: {', '.join(closed) or 'none'}.",
+            remedy=f"It has: {', '.join(controlled) or 'none'}.",
         )
     tick_s = float(machine.tick_clock.period_s)
-    size = _usual_amplitude(machine, axis) if amplitude is None else amplitude
-    if size <= 0.0:
-        raise OptionError(f"--amplitude is {size:g}", remedy="Give one above 0.")
+    amplitude_si = _usual_amplitude(machine, axis) if amplitude is None else amplitude
+    if amplitude_si <= 0.0:
+        raise OptionError(f"--amplitude is {amplitude_si:g}", remedy="Give one above 0.")
     lines, period, cut = np.zeros(0, dtype=np.int64), 0, None
     if kind == "sweep":
         lines, period = _harmonics(band_hz, tick_s)
-        position = _multisine(machine, axis, lines, period, size)
+        position = _multisine(machine, axis, lines, period, amplitude_si)
     elif band_hz is not None:
         raise OptionError("--band is for a sweep", remedy="Leave it out.")
     elif kind == "coast":
         position, cut = _coast(machine, axis, amplitude)
     else:
-        position = _moves(machine, axis, kind, size, speeds)
+        position = _moves(machine, axis, kind, amplitude_si, speeds)
     counts = np.rint(position * machine.axes[axis].counts.si).astype(np.int64)
     return Experiment(
         kind=kind,
@@ -171,12 +174,12 @@ def _harmonics(band_hz: tuple[float, float] | None, tick_s: float) -> tuple[IntA
         raise OptionError(
             f"a period of {1.0 / low:.4g} s is too long", remedy="Begin at a higher frequency."
         )
-    top = max(int(high * period * tick_s), 1)
-    return np.unique(np.rint(np.geomspace(1, top, _LINES)).astype(np.int64)), period
+    highest = max(int(high * period * tick_s), 1)
+    return np.unique(np.rint(np.geomspace(1, highest, _LINES)).astype(np.int64)), period
 
 
 def _multisine(
-    machine: Machine, axis: str, lines: IntArray, period: int, size: float
+    machine: Machine, axis: str, lines: IntArray, period: int, amplitude_si: float
 ) -> FloatArray:
     """Return positions of a multisine with equal speeds of all lines, from rest to rest.
 
@@ -185,48 +188,52 @@ def _multisine(
     """
     tick_s = float(machine.tick_clock.period_s)
     order = np.arange(len(lines))
-    turn = 2.0 * np.pi * np.outer(np.arange(period) / period, lines)
+    angle = 2.0 * np.pi * np.outer(np.arange(period) / period, lines)
     phase = -np.pi * order * (order + 1) / len(lines)
-    one = (np.sin(turn + phase) / lines).sum(axis=1)
+    one_period = (np.sin(angle + phase) / lines).sum(axis=1)
     fade = 0.5 - 0.5 * np.cos(np.pi * np.arange(period) / period)
-    wave = np.concatenate((one * fade, *([one] * _PERIODS), one * fade[::-1]))
+    wave = np.concatenate((one_period * fade, *([one_period] * _PERIODS), one_period * fade[::-1]))
     wave -= wave[0]
     limits = machine.axes[axis]
-    reached = (
-        size / np.abs(wave).max(),
+    factors = (
+        amplitude_si / np.abs(wave).max(),
         _SWEEP_SPEED * limits.velocity.si * tick_s / np.abs(np.diff(wave)).max(),
         _SWEEP_ACCELERATION * limits.acceleration.si * tick_s**2 / np.abs(np.diff(wave, 2)).max(),
     )
-    return np.asarray(wave * min(reached))
+    return np.asarray(wave * min(factors))
 
 
 def _moves(
-    machine: Machine, axis: str, kind: str, size: float, speeds: Sequence[float]
+    machine: Machine, axis: str, kind: str, amplitude_si: float, speeds: Sequence[float]
 ) -> FloatArray:
     """Return positions of trapezoidal moves to and fro, with pauses."""
-    top = _SPEED * machine.axes[axis].velocity.si
+    usual_speed = _SPEED * machine.axes[axis].velocity.si
     plan: list[tuple[float, float]] = []  # (to, speed)
     if kind == "steps":
         for share in (0.1, 0.3, 1.0):
             plan += [
-                (share * size, 4.0 * top),
-                (0.0, 4.0 * top),
-                (-share * size, 4.0 * top),
-                (0, top),
+                (share * amplitude_si, 4.0 * usual_speed),
+                (0.0, 4.0 * usual_speed),
+                (-share * amplitude_si, 4.0 * usual_speed),
+                (0, usual_speed),
             ]
     elif kind == "constant":
         limit = machine.axes[axis].velocity.si
         for share in speeds:
-            plan += [(size, share * limit), (-size, share * limit), (0.0, share * limit)]
+            plan += [
+                (amplitude_si, share * limit),
+                (-amplitude_si, share * limit),
+                (0.0, share * limit),
+            ]
     else:
-        slow = 0.04 * top
+        slow = 0.04 * usual_speed
         for share in (0.05, 0.1, 0.2):
-            plan += [(share * size, slow), (-share * size, slow)] * 2
+            plan += [(share * amplitude_si, slow), (-share * amplitude_si, slow)] * 2
         plan += [(0.0, slow)]
-    parts, at = [], 0.0
-    for to, speed in plan:
-        parts.append(_move(machine, axis, at, to, speed))
-        at = to
+    parts, begin = [], 0.0
+    for target, speed in plan:
+        parts.append(_move(machine, axis, begin, target, speed))
+        begin = target
     position = np.concatenate(parts)
     if len(position) > _MOST_TICKS:
         raise OptionError(
@@ -240,15 +247,15 @@ def _move(machine: Machine, axis: str, begin: float, end: float, speed: float) -
     """Return the positions of one trapezoidal move and the pause after it, tick by tick."""
     tick_s = float(machine.tick_clock.period_s)
     acceleration = _ACCELERATION * machine.axes[axis].acceleration.si
-    way = abs(end - begin)
-    speed = min(speed, np.sqrt(way * acceleration), 0.95 * machine.axes[axis].velocity.si)
-    ramp, cruise = speed / acceleration, way / speed - speed / acceleration
+    distance = abs(end - begin)
+    speed = min(speed, np.sqrt(distance * acceleration), 0.95 * machine.axes[axis].velocity.si)
+    ramp, cruise = speed / acceleration, distance / speed - speed / acceleration
     time = np.arange(1, int(np.ceil((2 * ramp + cruise + _PAUSE_S) / tick_s)) + 1) * tick_s
     up = np.minimum(time, ramp)
     down = np.clip(time - ramp - cruise, 0.0, ramp)
-    gone = 0.5 * acceleration * up**2 + speed * np.clip(time - ramp, 0.0, cruise)
-    gone += speed * down - 0.5 * acceleration * down**2
-    return np.asarray(begin + np.sign(end - begin) * np.minimum(gone, way))
+    travelled = 0.5 * acceleration * up**2 + speed * np.clip(time - ramp, 0.0, cruise)
+    travelled += speed * down - 0.5 * acceleration * down**2
+    return np.asarray(begin + np.sign(end - begin) * np.minimum(travelled, distance))
 
 
 def _coast(machine: Machine, axis: str, amplitude: float | None) -> tuple[FloatArray, float]:
@@ -261,40 +268,42 @@ def _coast(machine: Machine, axis: str, amplitude: float | None) -> tuple[FloatA
     limits = machine.axes[axis]
     if amplitude is None and limits.travel is not None:
         amplitude = _COAST_TRAVEL * (limits.travel[1].si - limits.travel[0].si)
-    top = _COAST_SPEED * limits.velocity.si
-    least, speed = 0.0, top
-    position, cut = _coasted(machine, axis, speed)
+    too_fast = _COAST_SPEED * limits.velocity.si
+    slow_enough, speed = 0.0, too_fast
+    position, cut = _coast_from(machine, axis, speed)
     if amplitude is None or position[-1] <= amplitude:
         return position, cut
     for _ in range(12):
-        speed = 0.5 * (least + top)
-        position, cut = _coasted(machine, axis, speed)
-        least, top = (speed, top) if position[-1] <= amplitude else (least, speed)
-    if least == 0.0:
+        speed = 0.5 * (slow_enough + too_fast)
+        position, cut = _coast_from(machine, axis, speed)
+        slow_enough, too_fast = (
+            (speed, too_fast) if position[-1] <= amplitude else (slow_enough, speed)
+        )
+    if slow_enough == 0.0:
         raise OptionError(
             f"axis {axis}: no coast ends within {amplitude:.4g} of the start by the machine file",
             remedy="Give a larger --amplitude.",
         )
-    return _coasted(machine, axis, least)
+    return _coast_from(machine, axis, slow_enough)
 
 
-def _coasted(machine: Machine, axis: str, speed: float) -> tuple[FloatArray, float]:
+def _coast_from(machine: Machine, axis: str, speed: float) -> tuple[FloatArray, float]:
     """Return the positions of a coast from a speed, and the position of the cut."""
     tick_s = float(machine.tick_clock.period_s)
     ramp_s = speed / (_ACCELERATION * machine.axes[axis].acceleration.si)
-    cut = speed * (0.5 * ramp_s + _CRUISE_S)
+    cut_at = speed * (0.5 * ramp_s + _CRUISE_S)
     scale = machine.axes[axis].counts.si
     length_s = ramp_s + 4.0 * _CRUISE_S
     while True:
         time = np.arange(1, int(np.ceil(length_s / tick_s)) + 1) * tick_s
-        onward = speed * (np.minimum(time, ramp_s) ** 2 / (2.0 * ramp_s))
-        onward += speed * np.clip(time - ramp_s, 0.0, None)
-        counts = np.rint(onward * scale).astype(np.int64)
-        recording = simulate(_table(machine, axis, counts), coasting(machine, axis, cut))
+        commanded = speed * (np.minimum(time, ramp_s) ** 2 / (2.0 * ramp_s))
+        commanded += speed * np.clip(time - ramp_s, 0.0, None)
+        counts = np.rint(commanded * scale).astype(np.int64)
+        recording = simulate(_table(machine, axis, counts), coasting(machine, axis, cut_at))
         columns = {name.partition(" ")[0]: v for name, v in columns_of(recording).items()}
         load, rate = columns[f"{axis}.load"], columns[f"{axis}.velocity"]
-        after = columns[SUPPLY_CUT] > 0.0
-        moving = np.flatnonzero(~after | (np.abs(rate) > _COASTED * speed))
+        is_cut = columns[SUPPLY_CUT] > 0.0
+        moving = np.flatnonzero(~is_cut | (np.abs(rate) > _REST_SHARE * speed))
         if moving[-1] + 1 < len(load):
             break
         if length_s > _LONGEST_COAST_S:
@@ -304,10 +313,10 @@ def _coasted(machine: Machine, axis: str, speed: float) -> tuple[FloatArray, flo
                 remedy="Give its body or motor a damping or a friction first.",
             )
         length_s *= 2.0
-    begin, end = int(np.argmax(after)), int(moving[-1]) + 1
-    held = np.full(int(np.ceil(_PAUSE_S / tick_s)), load[end] - load[begin])
-    slowing = np.concatenate((load[begin : end + 1] - load[begin], held))
-    return np.concatenate((onward[:begin], onward[begin - 1] + slowing)), cut
+    begin, end = int(np.argmax(is_cut)), int(moving[-1]) + 1
+    at_rest = np.full(int(np.ceil(_PAUSE_S / tick_s)), load[end] - load[begin])
+    slowing = np.concatenate((load[begin : end + 1] - load[begin], at_rest))
+    return np.concatenate((commanded[:begin], commanded[begin - 1] + slowing)), cut_at
 
 
 def _table(machine: Machine, axis: str, counts: IntArray) -> TickTable:
@@ -318,7 +327,7 @@ def _table(machine: Machine, axis: str, counts: IntArray) -> TickTable:
     return TickTable(
         clock=machine.tick_clock,
         axes=machine.axis_names,
-        counts_per_unit=np.array([one.counts.si for one in machine.axes.values()]),
+        counts_per_unit=np.array([axis_part.counts.si for axis_part in machine.axes.values()]),
         start_counts=np.zeros(len(machine.axes), dtype=np.int64),
         blocks=Stream(iter, (block,)),
         job_sha256="",

@@ -18,7 +18,7 @@ from threadline.units import same_dimension, unit_factor
 
 MAX_BYTES = 20_000_000
 MAX_POINTS = 200_000
-_FORM = "The first line must name frequency_hz, magnitude_db, phase_deg."
+_FIRST_LINE_REMEDY = "The first line must name frequency_hz, magnitude_db, phase_deg."
 _HEADING = re.compile(r"\s*(?P<name>[^\[\]]*?)\s*(?:\[\s*(?P<unit>[^\[\]]*?)\s*\])?\s*")
 _COMMENT = re.compile(r"#\s*(?P<key>[a-z]+)\s*:\s*(?P<value>.*?)\s*")
 _WORDS = ("axis", "output")
@@ -50,21 +50,23 @@ def rows_of(text: str) -> tuple[dict[str, str], Iterator[tuple[int, list[str]]]]
     Cells are separated by commas, semicolons or tabs, whichever the first line has most of.
     """
     lines = list(enumerate(text.splitlines(), start=1))
-    said: dict[str, str] = {}
-    at = 0
-    while at < len(lines) and (not lines[at][1].strip() or lines[at][1].lstrip().startswith("#")):
-        match = _COMMENT.fullmatch(lines[at][1].strip())
+    comments: dict[str, str] = {}
+    index = 0
+    while index < len(lines) and (
+        not lines[index][1].strip() or lines[index][1].lstrip().startswith("#")
+    ):
+        match = _COMMENT.fullmatch(lines[index][1].strip())
         if match:
-            said[match["key"]] = match["value"]
-        at += 1
-    head = lines[at][1] if at < len(lines) else ""
-    mark = max(",;\t", key=head.count)
+            comments[match["key"]] = match["value"]
+        index += 1
+    heading = lines[index][1] if index < len(lines) else ""
+    separator = max(",;\t", key=heading.count)
     rows = (
-        (number, [cell.strip() for cell in line.split(mark)])
-        for number, line in lines[at:]
+        (number, [cell.strip() for cell in line.split(separator)])
+        for number, line in lines[index:]
         if line.strip() and not line.lstrip().startswith("#")
     )
-    return said, rows
+    return comments, rows
 
 
 def read_response(path: Path) -> MeasuredResponse:
@@ -83,7 +85,7 @@ def read_response(path: Path) -> MeasuredResponse:
     """
     name = str(path)
     text = read_text(path, MAX_BYTES, RecordingError, "measured response", "utf-8-sig")
-    said, rows = rows_of(text)
+    comments, rows = rows_of(text)
     number, header = next(rows, (1, []))
     columns = _columns(header, Place(name, number))
     points: list[list[float]] = []
@@ -102,58 +104,62 @@ def read_response(path: Path) -> MeasuredResponse:
             )
     if not points:
         raise RecordingError("the file holds no points", place=Place(name))
-    return _response(np.array(points), columns, said, Place(name))
+    return _response(np.array(points), columns, comments, Place(name))
 
 
 def _response(
-    table: FloatArray, columns: _Columns, said: dict[str, str], place: Place
+    table: FloatArray, columns: _Columns, comments: dict[str, str], place: Place
 ) -> MeasuredResponse:
-    size = table[:, 1]
-    if not columns.decibel and (size <= 0.0).any():
+    magnitude = table[:, 1]
+    if not columns.decibel and (magnitude <= 0.0).any():
         raise RecordingError(
-            f"magnitude {size[int(np.argmax(size <= 0.0))]:g} is not above 0",
+            f"magnitude {magnitude[int(np.argmax(magnitude <= 0.0))]:g} is not above 0",
             place=place,
             remedy="Remove the points without a magnitude.",
         )
     with np.errstate(over="ignore", under="ignore", invalid="ignore"):
-        size = 10.0 ** (size / 20.0) if columns.decibel else size
-        value = size * columns.scale * np.exp(1j * table[:, 2] * columns.to_radian)
-    found = MeasuredResponse(
+        magnitude = 10.0 ** (magnitude / 20.0) if columns.decibel else magnitude
+        value = magnitude * columns.scale * np.exp(1j * table[:, 2] * columns.to_radian)
+    response = MeasuredResponse(
         frequency_hz=table[:, 0] * columns.to_hertz,
         value=np.asarray(value, dtype=np.complex128),
         coherence=None if columns.coherence is None else table[:, 3],
         unit=columns.unit,
-        axis=said.get("axis", ""),
-        output=said.get("output", ""),
+        axis=comments.get("axis", ""),
+        output=comments.get("output", ""),
         place=place,
     )
-    check_response(found)
-    return found
+    check_response(response)
+    return response
 
 
 def _columns(header: list[str], place: Place) -> _Columns:
-    heads: dict[str, tuple[int, str]] = {}
-    for at, cell in enumerate(header):
+    headings: dict[str, tuple[int, str]] = {}
+    for index, cell in enumerate(header):
         match = _HEADING.fullmatch(cell.strip('"'))
         if match:
-            heads.setdefault(match["name"].lower(), (at, match["unit"] or ""))
+            headings.setdefault(match["name"].lower(), (index, match["unit"] or ""))
 
-    def head(*names: str) -> tuple[str, int, str]:
+    def heading(*names: str) -> tuple[str, int, str]:
         for name in names:
-            if name in heads:
-                return (name, *heads[name])
-        raise RecordingError(f"column {names[0]!r} is missing", place=place, remedy=_FORM)
+            if name in headings:
+                return (name, *headings[name])
+        raise RecordingError(
+            f"column {names[0]!r} is missing", place=place, remedy=_FIRST_LINE_REMEDY
+        )
 
-    name, frequency, unit = head("frequency_hz", "frequency", "freq")
+    name, frequency, unit = heading("frequency_hz", "frequency", "freq")
     to_hertz = 1.0
     if name != "frequency_hz":
         to_hertz = 1.0 / (2.0 * math.pi) if unit == "rad/s" else unit_factor(unit or "Hz", "Hz")
-    name, magnitude, unit = head("magnitude_db", "magnitude")
+    name, magnitude, unit = heading("magnitude_db", "magnitude")
     decibel = name == "magnitude_db" or unit.lower() == "db"
     unit = "" if unit.lower() == "db" else unit
     si, scale = _output_unit(unit, place) if unit else ("", 1.0)
-    name, phase, turn = head("phase_deg", "phase")
-    to_radian = math.radians(1.0) if name == "phase_deg" else unit_factor(turn or "deg", "rad")
+    name, phase, phase_unit = heading("phase_deg", "phase")
+    to_radian = (
+        math.radians(1.0) if name == "phase_deg" else unit_factor(phase_unit or "deg", "rad")
+    )
     return _Columns(
         frequency=frequency,
         to_hertz=to_hertz,
@@ -163,7 +169,7 @@ def _columns(header: list[str], place: Place) -> _Columns:
         scale=scale,
         phase=phase,
         to_radian=to_radian,
-        coherence=heads["coherence"][0] if "coherence" in heads else None,
+        coherence=headings["coherence"][0] if "coherence" in headings else None,
     )
 
 

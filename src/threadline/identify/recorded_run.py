@@ -17,10 +17,10 @@ CUT_AT = "cut_at_si"
 """Key in a recording's origin of the position, m or rad, from which on a coast had no supply."""
 _MOST_TICKS = 400_000
 _LEAST_TICKS = 20
-_MOST = 1e9  # m, rad or V
+_LARGEST_VALUE = 1e9  # m, rad or V
 _LEAST_MOTION = 20.0  # counts
-_ON_COUNTS = 0.02
-_FULL = 0.99  # share of the clamp from which on volts count as clamped: within a DAC level
+_OFF_COUNTS = 0.02
+_CLAMP_SHARE = 0.99  # of the clamp, from which on volts count as clamped: within a DAC level
 _CLIPPED = 0.2  # share of samples with the controller at its clamp, from which a run is refused
 
 
@@ -50,11 +50,11 @@ def columns_in(
         missing or not finite, or there are too many.
     """
     kinds = (ChannelKind.COMMANDED, ChannelKind.MEASURED, ChannelKind.VOLTAGE)
-    wanted: list[Channel] = [
+    channels: list[Channel] = [
         c for c in recording.channels if c.kind in kinds and c.axis in machine.axes
     ]
     tick = machine.tick_clock.period_s
-    for channel in wanted:
+    for channel in channels:
         kind = "m" if machine.axes[channel.axis].kind == "linear" else "rad"
         if channel.kind is not ChannelKind.VOLTAGE and channel.unit != kind:
             raise RecordingError(
@@ -72,34 +72,35 @@ def columns_in(
                 remedy="Record every tick.",
             )
     parts: dict[tuple[ChannelKind, str], list[FloatArray]] = {}
-    due: int | None = None
+    expected_tick: int | None = None
     for block in recording:
-        first = {block.first_tick[c.clock.name] for c in wanted}
-        if due is not None and first and first != {due}:
+        first = {block.first_tick[c.clock.name] for c in channels}
+        if expected_tick is not None and first and first != {expected_tick}:
             raise RecordingError(
-                f"samples are missing at {due * float(tick):.6g} s",
+                f"samples are missing at {expected_tick * float(tick):.6g} s",
                 place=place,
                 remedy="Fit a run without gaps.",
             )
-        for channel in wanted:
+        for channel in channels:
             parts.setdefault((channel.kind, channel.axis), []).append(block.samples[channel.name])
-        if wanted:
-            due = next(iter(first)) + len(block.samples[wanted[0].name])
-            if due > _MOST_TICKS:
+        if channels:
+            expected_tick = next(iter(first)) + len(block.samples[channels[0].name])
+            if expected_tick > _MOST_TICKS:
                 raise RecordingError(
                     f"more than {_MOST_TICKS} samples", place=place, remedy="Fit a shorter run."
                 )
-    found = {key: np.concatenate(blocks) for key, blocks in parts.items()}
-    for (kind, name), values in found.items():
-        odd = np.flatnonzero(~(np.abs(values) < _MOST))
-        if len(odd):
+    columns = {key: np.concatenate(blocks) for key, blocks in parts.items()}
+    for (kind, name), values in columns.items():
+        odd_rows = np.flatnonzero(~(np.abs(values) < _LARGEST_VALUE))
+        if len(odd_rows):
             raise RecordingError(
-                f"{name}.{kind.value} is {values[odd[0]]:g} at {odd[0] * float(tick):.6g} s, which "
+                f"{name}.{kind.value} is {values[odd_rows[0]]:g} at "
+                f"{odd_rows[0] * float(tick):.6g} s, which "
                 "no axis reaches",
                 place=place,
                 remedy="Record again, or cut the run there.",
             )
-    return found
+    return columns
 
 
 def commands_in(
@@ -115,8 +116,12 @@ def commands_in(
     RecordingError
         If there are none, too few, or they are not whole counts of the machine.
     """
-    given = {name: columns.get((ChannelKind.COMMANDED, name)) for name in machine.axes}
-    lengths = {len(one) for one in given.values() if one is not None}
+    commanded = {name: columns.get((ChannelKind.COMMANDED, name)) for name in machine.axes}
+    lengths = {
+        len(position_column)
+        for position_column in commanded.values()
+        if position_column is not None
+    }
     if not lengths:
         raise RecordingError(
             "the commanded position is missing",
@@ -130,15 +135,15 @@ def commands_in(
         )
     counts = np.zeros((length, len(machine.axes)), dtype=np.int64)
     for column, (name, axis) in enumerate(machine.axes.items()):
-        position = given[name]
+        position = commanded[name]
         if position is None:
             continue
         exact = position * axis.counts.si
         counts[:, column] = np.rint(exact)
-        off = float(np.abs(exact - counts[:, column]).max())
-        if off > _ON_COUNTS:
+        off_counts = float(np.abs(exact - counts[:, column]).max())
+        if off_counts > _OFF_COUNTS:
             raise RecordingError(
-                f"{name}.commanded lies up to {off:.2g} counts beside whole counts of "
+                f"{name}.commanded lies up to {off_counts:.2g} counts beside whole counts of "
                 f"{machine.name} ({axis.counts.si:.6g} {axis.counts.unit})",
                 place=place,
                 remedy="Give the machine file and the commands of the run.",
@@ -176,7 +181,7 @@ def cut_as_recorded(
     RecordingError
         If the recording is a coast without its axis or the position of the cut.
     """
-    if not any(one.name == SUPPLY_CUT for one in recording.channels):
+    if not any(channel.name == SUPPLY_CUT for channel in recording.channels):
         return machine, None
     cut_at, axis = recording.origin.get(CUT_AT, ""), recording.origin.get("axis", "")
     try:
@@ -190,8 +195,8 @@ def cut_as_recorded(
             place=place,
             remedy="Fit the file that threadline measure wrote, with the machine that it measured.",
         )
-    cut = np.concatenate([block.samples[SUPPLY_CUT] for block in recording])
-    return coasting(machine, axis, at_si), int(np.sum(cut == 0.0))
+    is_cut = np.concatenate([block.samples[SUPPLY_CUT] for block in recording])
+    return coasting(machine, axis, at_si), int(np.sum(is_cut == 0.0))
 
 
 def refuse_clipped(machine: Machine, axis: str, volts: FloatArray, place: Place) -> None:
@@ -203,11 +208,12 @@ def refuse_clipped(machine: Machine, axis: str, volts: FloatArray, place: Place)
         If more than a fifth of the samples are at the clamp.
     """
     dac = machine.controller_of(axis).dac
-    full = dac.range.si * (1.0 - 2.0 ** (1.0 - dac.bits.si))
-    share = float(np.mean(np.abs(volts) >= _FULL * full))
+    clamp_v = dac.range.si * (1.0 - 2.0 ** (1.0 - dac.bits.si))
+    share = float(np.mean(np.abs(volts) >= _CLAMP_SHARE * clamp_v))
     if share > _CLIPPED:
         raise RecordingError(
-            f"the controller of {axis} is at its clamp of {full:.4g} V in {100.0 * share:.0f} % of "
+            f"the controller of {axis} is at its clamp of {clamp_v:.4g} V in {100.0 * share:.0f} "
+            "% of "
             f"the samples, limit {100.0 * _CLIPPED:.0f} %",
             place=place,
             remedy="Record a slower run.",

@@ -127,15 +127,15 @@ class RecordingData:
             Dotted name to (variants,) SI values.
         """
         (count,) = {len(value) for value in numbers.values()} or {1}
-        places = 1 if self.by_volts else _PHASES
-        several = {name: np.repeat(value, places) for name, value in numbers.items()}
-        phases = (np.arange(places) + 0.5) / places
+        phase_count = 1 if self.by_volts else _PHASES
+        repeated = {name: np.repeat(value, phase_count) for name, value in numbers.items()}
+        phases = (np.arange(phase_count) + 0.5) / phase_count
         phase = np.tile(phases[:, None], (count, len(self.machine.axes)))
         try:
-            found = simulate_batch(
+            batch = simulate_batch(
                 self.commands,
                 self.simulated,
-                several,
+                repeated,
                 encoder_phase=phase,
                 options=BatchOptions(
                     settle_s=0.0, channels=tuple(self.measured), watch_current=False
@@ -151,14 +151,14 @@ class RecordingData:
             ]
             return np.concatenate(parts)
         parts = []
-        for name, wanted in self.measured.items():
-            simulated = found.samples[name][: len(self.used)][self.used] * self.scale[name]
-            mean = simulated.reshape(self.length, count, places).mean(axis=2)
-            apart = wanted[self.used] - mean.T
+        for name, recorded in self.measured.items():
+            simulated = batch.samples[name][: len(self.used)][self.used] * self.scale[name]
+            mean = simulated.reshape(self.length, count, phase_count).mean(axis=2)
+            differences = recorded[self.used] - mean.T
             if self.by_volts:
                 # The place between two counts at the start is unknown: the mean is removed.
-                apart -= apart.mean(axis=1, keepdims=True)
-            parts.append(apart)
+                differences -= differences.mean(axis=1, keepdims=True)
+            parts.append(differences)
         return np.concatenate(parts, axis=1)
 
     def left_over(self, residual: FloatArray, noise: FloatArray) -> list[str]:
@@ -173,17 +173,17 @@ class RecordingData:
         """
         width = max(self.length // _WINDOWS, 1)
         time_s = np.flatnonzero(self.used) * float(self.machine.tick_clock.period_s)
-        found = []
+        texts = []
         for k, name in enumerate(self.measured):
-            own = slice(k * self.length, (k + 1) * self.length)
-            mean = np.convolve(residual[own], np.ones(width) / width, mode="valid")
+            rows = slice(k * self.length, (k + 1) * self.length)
+            mean = np.convolve(residual[rows], np.ones(width) / width, mode="valid")
             worst = int(np.argmax(np.abs(mean)))
-            if abs(mean[worst]) > _UNLIKELY * noise[own][0]:
-                found.append(
+            if abs(mean[worst]) > _UNLIKELY * noise[rows][0]:
+                texts.append(
                     f"{name} from {time_s[worst]:.4g} to {time_s[worst + width - 1]:.4g} s: "
-                    f"{mean[worst]:+.3g} counts from the fit, noise {noise[own][0]:.2g} counts"
+                    f"{mean[worst]:+.3g} counts from the fit, noise {noise[rows][0]:.2g} counts"
                 )
-        return found
+        return texts
 
 
 def recording_data(
@@ -212,7 +212,7 @@ def recording_data(
         If a state-space controller moves several axes together, and volts drive the simulation.
     """
     place = Place(str(path))
-    if not machine.axes or not all(one.controller for one in machine.axes.values()):
+    if not machine.axes or not all(axis_part.controller for axis_part in machine.axes.values()):
         raise OptionError(
             f"machine {machine.name!r} has no control loops, so a recording of it has no volts",
             remedy="Fit a measured response.",
@@ -226,33 +226,33 @@ def recording_data(
         raise RecordingError(f"it has {recording.runs} runs", place=place, remedy="Give one run.")
     columns = columns_in(recording, machine, place)
     commands = commands_in(columns, machine, recording.job_sha256, place)
-    moved = [name for name in machine.axes if moves(columns, name, machine)]
+    moving_axes = [name for name in machine.axes if moves(columns, name, machine)]
     machine, powered = cut_as_recorded(recording, machine, place)
-    chosen = [name for name in moved if axis in {"", name}]
-    chosen = [name for name in chosen if (ChannelKind.MEASURED, name) in columns]
-    if not chosen:
+    fitted_axes = [name for name in moving_axes if axis in {"", name}]
+    fitted_axes = [name for name in fitted_axes if (ChannelKind.MEASURED, name) in columns]
+    if not fitted_axes:
         raise RecordingError(
             f"axis {axis or ', '.join(machine.axes)} does not move, or its measured position is "
             "missing",
             place=place,
             remedy="Record a run with a move of it, or name another axis.",
         )
-    for name in chosen:
+    for name in fitted_axes:
         if (volts := columns.get((ChannelKind.VOLTAGE, name))) is not None:
             refuse_clipped(machine, name, volts[:powered], place)
-    by_volts = all(_volts_of_each_tick(columns, name, machine) for name in chosen)
+    by_volts = all(_volts_of_each_tick(columns, name, machine) for name in fitted_axes)
     # In the loop the volts follow from the positions, with more rounding, and add no information.
     ending = "load" if by_volts else "measured"
-    scale = {f"{name}.{ending}": machine.axes[name].counts.si for name in chosen}
+    scale = {f"{name}.{ending}": machine.axes[name].counts.si for name in fitted_axes}
     measured = {
         f"{name}.{ending}": columns[ChannelKind.MEASURED, name] * scale[f"{name}.{ending}"]
-        for name in chosen
+        for name in fitted_axes
     }
-    used = _in_motion(columns, chosen, machine)
+    used = _in_motion(columns, fitted_axes, machine)
     simulated = machine
     if by_volts:
-        simulated = driven_by_volts(machine, chosen)
-        acting = {name: columns[ChannelKind.VOLTAGE, name] for name in chosen}
+        simulated = driven_by_volts(machine, fitted_axes)
+        acting = {name: columns[ChannelKind.VOLTAGE, name] for name in fitted_axes}
         commands = _volt_commands(commands, machine, acting)
     return RecordingData(
         machine=machine,
@@ -274,8 +274,8 @@ def _volts_of_each_tick(
     columns: Mapping[tuple[ChannelKind, str], FloatArray], name: str, machine: Machine
 ) -> bool:
     controller = machine.controller_of(name)
-    same = machine.clock(controller.clock).period_s == machine.tick_clock.period_s
-    return same and (ChannelKind.VOLTAGE, name) in columns
+    same_clock = machine.clock(controller.clock).period_s == machine.tick_clock.period_s
+    return same_clock and (ChannelKind.VOLTAGE, name) in columns
 
 
 def driven_by_volts(machine: Machine, axes: Sequence[str]) -> Machine:
@@ -294,9 +294,9 @@ def driven_by_volts(machine: Machine, axes: Sequence[str]) -> Machine:
     MachineError
         If a state-space controller moves one of the axes together with others.
     """
-    one = Quantity(si=1.0, unit="", tolerance_si=0.0, provenance=Provenance.ASSUMED)
+    unity = Quantity(si=1.0, unit="", tolerance_si=0.0, provenance=Provenance.ASSUMED)
     bodies, sensors = dict(machine.bodies), dict(machine.sensors)
-    controllers, changed = dict(machine.controllers), dict(machine.axes)
+    controllers, axes_changed = dict(machine.controllers), dict(machine.axes)
     for name in axes:
         axis = machine.axes[name]
         shared = machine.controllers[axis.controller]
@@ -307,21 +307,27 @@ def driven_by_volts(machine: Machine, axes: Sequence[str]) -> Machine:
                 place=machine.place,
                 remedy="Fit with a machine file in which each axis has a controller of its own.",
             )
-        old, still = machine.controller_of(name), f"{_STILL}-{name}"
-        bodies[still] = Body(kind="linear", inertia=replace(one, unit="kg"))
-        sensors[still] = Encoder(kind="encoder", reads={still: replace(one, unit="count/m")})
-        dac = Dac(bits=replace(one, si=float(_LEVELS), unit="bit"), range=old.dac.range)
+        old_controller, still_body = machine.controller_of(name), f"{_STILL}-{name}"
+        bodies[still_body] = Body(kind="linear", inertia=replace(unity, unit="kg"))
+        sensors[still_body] = Encoder(
+            kind="encoder", reads={still_body: replace(unity, unit="count/m")}
+        )
+        dac = Dac(
+            bits=replace(unity, si=float(_LEVELS), unit="bit"), range=old_controller.dac.range
+        )
         controllers[axis.controller] = PController(
             kind="p",
-            clock=old.clock,
-            reference_clock=old.reference_clock,
-            sensor=still,
-            drive=old.drive,
-            kp=replace(one, unit="dac/count"),
+            clock=old_controller.clock,
+            reference_clock=old_controller.reference_clock,
+            sensor=still_body,
+            drive=old_controller.drive,
+            kp=replace(unity, unit="dac/count"),
             dac=dac,
         )
-        changed[name] = replace(axis, load=load_by_counts(machine, name))
-    return replace(machine, bodies=bodies, sensors=sensors, controllers=controllers, axes=changed)
+        axes_changed[name] = replace(axis, load=load_by_counts(machine, name))
+    return replace(
+        machine, bodies=bodies, sensors=sensors, controllers=controllers, axes=axes_changed
+    )
 
 
 def _volt_commands(
@@ -337,8 +343,8 @@ def _volt_commands(
         changes = np.diff(acting, append=acting[-1:])
         changes[0] += acting[0]  # a run may begin with volts that hold a load
         rows[:, machine.axis_names.index(name)] = changes
-    again = TickBlock(first_tick=0, counts=rows, operation=block.operation)
-    return replace(commands, blocks=Stream(iter, (again,)))
+    volt_block = TickBlock(first_tick=0, counts=rows, operation=block.operation)
+    return replace(commands, blocks=Stream(iter, (volt_block,)))
 
 
 def _in_motion(
@@ -348,5 +354,5 @@ def _in_motion(
     moving = np.zeros(len(columns[ChannelKind.COMMANDED, axes[0]]), dtype=np.bool_)
     for name in axes:
         moving[1:] |= np.diff(columns[ChannelKind.COMMANDED, name]) != 0.0
-    kept = max(round(_MOVING_S / float(machine.tick_clock.period_s)), 1)
-    return np.convolve(moving, np.ones(kept), mode="full")[: len(moving)] > 0.5
+    window = max(round(_MOVING_S / float(machine.tick_clock.period_s)), 1)
+    return np.convolve(moving, np.ones(window), mode="full")[: len(moving)] > 0.5

@@ -42,10 +42,10 @@ from threadline.units import unit_factor
 
 _CELL = re.compile(r"([A-Za-z]+)(?:\s*[\[(]\s*([^\])]+?)\s*[\])]|_([A-Za-z]+(?:_[A-Za-z]+)?))?")
 _TIMES, _FEEDS = ("T", "TIME"), ("F", "FEED")
-_DRAWN = frozenset(("X", "Y", "CX", "CY", "BULGE", "TURN", "LAYER"))
+_DRAWING_COLUMNS = frozenset(("X", "Y", "CX", "CY", "BULGE", "TURN", "LAYER"))
 _EXAMPLE = 'Begin the table with a row like "time [s], A [deg], X [mm]" or "A_deg,X_mm,F_mm_min".'
 _MOST_BYTES = 1 << 28
-_RUN = 4096
+_LONGEST_RUN = 4096
 _HEAD_BYTES = 4096
 
 AXIS_TABLE_OPTIONS = ("feed_mode", "base_axes", "axes")
@@ -60,7 +60,7 @@ def is_axis_table(path: Path) -> bool:
         head = stream.read(_HEAD_BYTES).decode("utf-8-sig", "replace")
     names = {name for name, _ in _columns(head)}
     return bool(names & {*_TIMES, *_FEEDS}) or any(
-        len(name) == 1 and name in LETTERS for name in names - _DRAWN
+        len(name) == 1 and name in LETTERS for name in names - _DRAWING_COLUMNS
     )
 
 
@@ -68,12 +68,12 @@ def _columns(text: str) -> list[tuple[str, str]]:
     """Return name (capital letters) and unit of every column; a name may be empty."""
     for line in text.splitlines():
         if line.strip() and not line.lstrip().startswith("#"):
-            found = []
+            columns = []
             for cell in re.split(r"[;\t]|,(?![^\[(]*[\])])", line):
                 match = _CELL.fullmatch(cell.strip())
                 unit = (match[2] or (match[3] or "").replace("_", "/")) if match else ""
-                found.append((match[1].upper() if match else "", unit))
-            return found
+                columns.append((match[1].upper() if match else "", unit))
+            return columns
     return []
 
 
@@ -106,13 +106,13 @@ class AxisTable:
 
     def runs(self) -> Iterator[Operation | MoveRun]:
         """Yield the moves from the first row to the last, and a rest where no axis moves."""
-        still = np.all(np.diff(self.position, axis=0) == 0.0, axis=1)
-        ends = np.flatnonzero(still) if len(self.duration_s) else np.empty(0, np.int64)
+        at_rest = np.all(np.diff(self.position, axis=0) == 0.0, axis=1)
+        ends = np.flatnonzero(at_rest) if len(self.duration_s) else np.empty(0, np.int64)
         begin = 0
-        for end in (*ends.tolist(), len(still)):
-            for first in range(begin, end, _RUN):
-                yield self._run(first, min(end, first + _RUN))
-            if end < len(still):
+        for end in (*ends.tolist(), len(at_rest)):
+            for first in range(begin, end, _LONGEST_RUN):
+                yield self._run(first, min(end, first + _LONGEST_RUN))
+            if end < len(at_rest):
                 place = Source(self.file, int(self.line[end + 1]))
                 yield Dwell(float(self.duration_s[end]), place)
             begin = end + 1
@@ -187,13 +187,13 @@ def read_axis_table(
     position = np.zeros((len(values), len(machine.axis_names)))
     kinds = [axis.kind for axis in machine.axes.values()]
     dialect = DIALECTS.get(machine.programs.dialect)
-    of_dialect = "fastest-axis" if dialect is None else dialect.feed_rule
-    rule = f_rule(machine, feed_mode, tuple(base_axes), of_dialect)
+    dialect_rule = "fastest-axis" if dialect is None else dialect.feed_rule
+    rule = f_rule(machine, feed_mode, tuple(base_axes), dialect_rule)
     time_s: FloatArray | None = None
     feed_m_s: FloatArray | None = None
     tags: list[tuple[str, FloatArray]] = []
-    for at, (name, unit) in enumerate(columns):
-        column = values[:, at]
+    for index, (name, unit) in enumerate(columns):
+        column = values[:, index]
         if name in letters.axes:
             target = "m" if kinds[letters.axes[name]] == "linear" else "rad"
             position[:, letters.axes[name]] = column * _factor(name, unit, target, place)
@@ -215,16 +215,16 @@ def read_axis_table(
     if not set(names) & set(letters.axes):
         raise JobError("the table names no axis of the machine", place=place, remedy=_EXAMPLE)
     if (time_s is None) == (feed_m_s is None):
-        has = "neither times nor feeds" if time_s is None else "both times and feeds"
-        raise JobError(f"the table of axis values has {has}", place=place, remedy=_EXAMPLE)
+        fault = "neither times nor feeds" if time_s is None else "both times and feeds"
+        raise JobError(f"the table of axis values has {fault}", place=place, remedy=_EXAMPLE)
     duration_s = np.empty(0) if time_s is None else np.diff(time_s)
     feeds = _feeds(rule, feed_m_s) if feed_m_s is not None else _in_time(duration_s)
-    wrong = np.flatnonzero(np.array([not feed.value > 0.0 for feed in feeds]))
-    if len(wrong):
-        what = "no feed above 0" if time_s is None else "no later time than the row before"
+    wrong_rows = np.flatnonzero(np.array([not feed.value > 0.0 for feed in feeds]))
+    if len(wrong_rows):
+        row_fault = "no feed above 0" if time_s is None else "no later time than the row before"
         raise JobError(
-            f"the row has {what}",
-            place=Place(str(path), int(line[wrong[0] + 1])),
+            f"the row has {row_fault}",
+            place=Place(str(path), int(line[wrong_rows[0] + 1])),
             remedy="Correct it.",
         )
     table = AxisTable(str(path), line, position, feeds, duration_s, tuple(tags))
@@ -266,17 +266,24 @@ def _is_path_of_fibre(names: list[str]) -> bool:
 
 def _numbers(text: str, columns: int, file: str) -> tuple[IntArray, FloatArray]:
     """Return the line of each row, and the (rows, columns) numbers."""
-    head = next((li for li in text.splitlines() if li.strip() and li.strip()[0] != "#"), "")
-    separator = next((s for s in (";", "\t") if s in head), ",")
+    heading = next(
+        (
+            text_line
+            for text_line in text.splitlines()
+            if text_line.strip() and text_line.strip()[0] != "#"
+        ),
+        "",
+    )
+    separator = next((s for s in (";", "\t") if s in heading), ",")
     reader = csv.reader(text.splitlines(), delimiter=separator)
     lines: list[int] = []
     rows: list[list[float]] = []
-    seen = False
+    has_heading = False
     for cells in reader:
         if not cells or not "".join(cells).strip() or cells[0].lstrip().startswith("#"):
             continue
-        if not seen:
-            seen = True
+        if not has_heading:
+            has_heading = True
             continue
         place = Place(file, reader.line_num)
         if len(cells) != columns:
@@ -286,13 +293,13 @@ def _numbers(text: str, columns: int, file: str) -> tuple[IntArray, FloatArray]:
                 remedy="Give every column a cell.",
             )
         point = "," if separator != "," else "."
-        written = [cell.replace(point, ".") for cell in cells]
+        texts = [cell.replace(point, ".") for cell in cells]
         try:
-            row = [float(cell) for cell in written]
+            row = [float(cell) for cell in texts]
         except ValueError:
-            bad = next(cell for cell in written if not _is_number(cell))
+            bad_cell = next(cell for cell in texts if not _is_number(cell))
             raise JobError(
-                f"{bad.strip()[:40]!r} is not a number", place=place, remedy="Correct it."
+                f"{bad_cell.strip()[:40]!r} is not a number", place=place, remedy="Correct it."
             ) from None
         if not all(map(math.isfinite, row)):
             raise JobError("a number is not finite", place=place, remedy="Correct it.")
@@ -320,18 +327,18 @@ def _factor(name: str, unit: str, target: str, place: Place) -> float:
 
 def _feeds(rule: FRule, feed_m_s: FloatArray) -> tuple[Feed, ...]:
     """Return the feed of every row but the first, in m/s by the rule for F."""
-    kept: dict[float, Feed] = {}
+    known: dict[float, Feed] = {}
     return tuple(
-        kept.setdefault(value, Feed(rule.mode, value, rule.base_axes))
+        known.setdefault(value, Feed(rule.mode, value, rule.base_axes))
         for value in feed_m_s[1:].tolist()
     )
 
 
 def _in_time(duration_s: FloatArray) -> tuple[Feed, ...]:
     """Return feeds that move from each row to the next in its time."""
-    kept: dict[float, Feed] = {}
+    known: dict[float, Feed] = {}
     return tuple(
-        kept.setdefault(
+        known.setdefault(
             duration, Feed(FeedMode.INVERSE_TIME, 1.0 / duration if duration > 0.0 else 0.0)
         )
         for duration in duration_s.tolist()

@@ -15,7 +15,7 @@ from threadline.jobs.operations import Dwell, Feed, FeedMode, Job, Move, MoveRun
 from threadline.machine import Machine
 
 _MM_AS_DEGREE_M = 1e-3 * 180.0 / math.pi  # m per rad: a degree counts as a millimetre
-_IN_TURN = ("XYZ", "UVW", "ABC")
+_LETTER_GROUPS = ("XYZ", "UVW", "ABC")
 
 
 def dwells_s(job: Job) -> float:
@@ -70,37 +70,37 @@ def feed_time_s(
     """
     column = [machine.axis_names.index(axis) for axis in axes]
     radius = machine.radius_m[column]
-    size = np.abs(displacement)
-    at_tool = size * radius
+    displacement_size = np.abs(displacement)
+    tool_displacement = displacement_size * radius
     if feed.mode is FeedMode.RAPID:
-        return np.zeros(len(size))
+        return np.zeros(len(displacement_size))
     if feed.mode is FeedMode.INVERSE_TIME:
-        return np.where(size.max(axis=1) > 0, 1.0 / feed.value, 0.0)
+        return np.where(displacement_size.max(axis=1) > 0, 1.0 / feed.value, 0.0)
     if feed.mode is FeedMode.COUNT_PER_TICK:
-        counts = largest_of_axes(size * machine.counts_per_unit[column])
+        counts = largest_of_axes(displacement_size * machine.counts_per_unit[column])
         return np.asarray(counts * float(machine.tick_clock.period_s) / feed.value)
     if feed.mode is FeedMode.FASTEST_AXIS:
-        return np.asarray(largest_of_axes(at_tool) / feed.value)
+        return np.asarray(largest_of_axes(tool_displacement) / feed.value)
     if feed.mode in (FeedMode.ALL_AXES, FeedMode.IN_TURN):
         linear = np.array([machine.axes[axis].kind == "linear" for axis in axes])
-        written = size * np.where(linear, 1.0, _MM_AS_DEGREE_M)
+        written_size = displacement_size * np.where(linear, 1.0, _MM_AS_DEGREE_M)
         if feed.mode is FeedMode.ALL_AXES:
-            return np.asarray(_length(written) / feed.value)
-        way = np.zeros(len(size))
-        for letters in _IN_TURN:
-            group = _length(written[:, [axis in letters for axis in axes]])
-            way = np.where(way > 0, way, group)
-        return np.asarray(way / feed.value)
+            return np.asarray(_lengths(written_size) / feed.value)
+        distance = np.zeros(len(displacement_size))
+        for letters in _LETTER_GROUPS:
+            group = _lengths(written_size[:, [axis in letters for axis in axes]])
+            distance = np.where(distance > 0, distance, group)
+        return np.asarray(distance / feed.value)
     if feed.mode is FeedMode.PATH:
-        base = np.array([machine.axes[axis].kind == "linear" for axis in axes])
+        is_base = np.array([machine.axes[axis].kind == "linear" for axis in axes])
     else:
-        base = np.array([axis in feed.base_axes for axis in axes])
-    length, whole = _length(at_tool[:, base]), _length(at_tool)
-    return np.asarray(np.where(length > 0, length, whole) / feed.value)
+        is_base = np.array([axis in feed.base_axes for axis in axes])
+    length, whole_length = _lengths(tool_displacement[:, is_base]), _lengths(tool_displacement)
+    return np.asarray(np.where(length > 0, length, whole_length) / feed.value)
 
 
-def _length(way: FloatArray) -> FloatArray:
-    return np.asarray(np.sqrt((way**2).sum(axis=1)))
+def _lengths(displacement: FloatArray) -> FloatArray:
+    return np.asarray(np.sqrt((displacement**2).sum(axis=1)))
 
 
 def wanted_feed(
@@ -122,9 +122,9 @@ def wanted_feed(
     if programmed is not None and programmed.mode is FeedMode.RAPID:
         return programmed
     if given is not None and given.mode is FeedMode.OVERRIDE:
-        own = wanted_feed(programmed, None, place, job, machine)
-        most = None if own.most is None else own.most * given.value
-        return replace(own, value=own.value * given.value, most=most)
+        own_feed = wanted_feed(programmed, None, place, job, machine)
+        most = None if own_feed.most is None else own_feed.most * given.value
+        return replace(own_feed, value=own_feed.value * given.value, most=most)
     if given is not None:
         if given.mode is FeedMode.F_WORD:
             return as_f_words(given.value, job.feed_rule)
@@ -188,16 +188,16 @@ def programmed_time_s(job: Job, machine: Machine, feed: Feed | None = None) -> f
         run = gathered([operation]) if isinstance(operation, Move) else operation
         if not isinstance(run, MoveRun):
             continue
-        way = np.diff(run.targets, axis=0, prepend=position[None])
+        displacements = np.diff(run.targets, axis=0, prepend=position[None])
         position = run.targets[-1]
-        ends = [begin for begin, _ in run.feeds[1:]] + [len(way)]
+        ends = [begin for begin, _ in run.feeds[1:]] + [len(displacements)]
         for (begin, programmed), end in zip(run.feeds, ends, strict=True):
             place = Place(run.file, int(run.line[begin]))
             wanted = wanted_feed(programmed, feed, place, job, machine)
             if wanted.mode is FeedMode.RAPID:
-                moves_s = (np.abs(way[begin:end]) / velocity).max(axis=1)
+                moves_s = (np.abs(displacements[begin:end]) / velocity).max(axis=1)
             else:
-                moves_s = feed_time_s(way[begin:end], wanted, job.axes, machine)
+                moves_s = feed_time_s(displacements[begin:end], wanted, job.axes, machine)
             total += times * float(moves_s.sum())
     return total
 

@@ -141,7 +141,7 @@ class _Reader:
         rows = table.get("operation")
         if not isinstance(rows, list) or not rows or not all(isinstance(r, dict) for r in rows):
             self.refuse("there are no operations", None, "", "Write [[operation]] tables.")
-        found: list[Operation] = []
+        operations: list[Operation] = []
         position = dict.fromkeys(self.machine.cylinders, 0.0)
         headers = self._headers()
         for index, row in enumerate(rows):
@@ -155,12 +155,12 @@ class _Reader:
                     self.refuse(
                         f"step = {step!r} is not a name", index, "step", 'Write it like "lift".'
                     )
-                found.append(ToolEvent(STEP_EVENT + step, 0.0, source))
-            found += self._operation(row, index, source, position)
+                operations.append(ToolEvent(STEP_EVENT + step, 0.0, source))
+            operations += self._operation(row, index, source, position)
             if self._flag(row, index, FIRST, False):
                 self._check_first(rows, index)
-                self.once = len(found)
-        return found
+                self.once = len(operations)
+        return operations
 
     def _check_first(self, rows: list[dict[str, Any]], index: int) -> None:
         """Refuse a first-cycle operation that moves, follows others, or has no wait after it."""
@@ -173,8 +173,8 @@ class _Reader:
                 FIRST,
                 "Put what only the first cycle does at the beginning of the list.",
             )
-        behind = rows[index + 1] if index + 1 < len(rows) else {}
-        if not behind.get(FIRST, False) and "wait" not in behind:
+        next_row = rows[index + 1] if index + 1 < len(rows) else {}
+        if not next_row.get(FIRST, False) and "wait" not in next_row:
             self.refuse(
                 f"behind the last operation with {FIRST} there is no wait: every further cycle "
                 "begins there, and the PLC counts its times from an input",
@@ -191,11 +191,11 @@ class _Reader:
         homed = [operation.axes for operation in operations if isinstance(operation, Home)]
         if "home" in table:
             homed.insert(0, self._order(table["home"], None))
-        for other in homed[1:]:
-            if other != homed[0]:
+        for order in homed[1:]:
+            if order != homed[0]:
                 self.refuse(
                     f"the list brings the cylinders home in two orders, {', '.join(homed[0])} and "
-                    f"{', '.join(other)}",
+                    f"{', '.join(order)}",
                     None,
                     "home",
                     "The way home of the PLC program has one: write the same.",
@@ -221,9 +221,9 @@ class _Reader:
     ) -> list[Operation]:
         verbs = [verb for verb in OPERATION_KEYS if verb in row]
         if len(verbs) != 1:
-            said = " and ".join(verbs) or "nothing"
+            verbs_text = " and ".join(verbs) or "nothing"
             self.refuse(
-                f"an operation says {said}, it must say one thing",
+                f"an operation says {verbs_text}, it must say one thing",
                 index,
                 verbs[1] if len(verbs) > 1 else "",
                 f"Use one of {', '.join(OPERATION_KEYS)}; the rest is another [[operation]].",
@@ -275,12 +275,12 @@ class _Reader:
 
     def _how(self, row: Mapping[str, Any], index: int) -> Mapping[str, float | str]:
         """Return the tags that a move gives: shaper or levels, rest and overlap."""
-        given: dict[str, Any] = {k: row[k] for k in ("shaper", "levels") if k in row}
-        if len(given) > 1:
+        tags: dict[str, Any] = {k: row[k] for k in ("shaper", "levels") if k in row}
+        if len(tags) > 1:
             self.refuse("a move has a shaper or levels, not both", index, "levels")
-        if isinstance(given.get("levels"), dict):
-            given["levels"] = self._each_levels(row, index)
-        for key, text in given.items():
+        if isinstance(tags.get("levels"), dict):
+            tags["levels"] = self._each_levels(row, index)
+        for key, text in tags.items():
             if not isinstance(text, str) or not text:
                 example = {"shaper": "um-zv", "levels": "1 for 180 ms, 0 for 60 ms, 1 for 290 ms"}
                 self.refuse(f"{key} = {text!r} is no text", index, key, f'"{example[key]}".')
@@ -288,10 +288,10 @@ class _Reader:
             rest_s = self._number(row[REST], "s", index, REST)
             if not 0.0 <= rest_s <= 86400.0:
                 self.refuse(f"{REST} = {row[REST]!r} is not within 0 ... 24 h", index, REST)
-            given[REST] = rest_s
+            tags[REST] = rest_s
         if not self._flag(row, index, OVERLAP, True):
-            given[OVERLAP] = NEVER
-        return given or NO_TAGS
+            tags[OVERLAP] = NEVER
+        return tags or NO_TAGS
 
     def _each_levels(self, row: Mapping[str, Any], index: int) -> str:
         """Return one text with the levels of each cylinder of an operation."""
@@ -309,10 +309,10 @@ class _Reader:
 
     def _time(self, row: Mapping[str, Any], index: int, key: str) -> float:
         value = self._number(row[key], "s", index, key)
-        still = key == "dwell"  # a dwell of 0 does nothing; a wait of 0 would be a fault at once
-        if not 0.0 <= value <= 86400.0 or (value == 0.0 and not still):
-            room = "within 0 ... 24 h" if still else "more than 0 and at most 24 h"
-            self.refuse(f"{key} = {row[key]!r} is not {room}", index, key)
+        is_dwell = key == "dwell"  # a dwell of 0 does nothing; a wait of 0 would be a fault at once
+        if not 0.0 <= value <= 86400.0 or (value == 0.0 and not is_dwell):
+            range_text = "within 0 ... 24 h" if is_dwell else "more than 0 and at most 24 h"
+            self.refuse(f"{key} = {row[key]!r} is not {range_text}", index, key)
         return value
 
     def _number(self, text: Any, unit: str, index: int, key: str) -> float:
@@ -325,12 +325,12 @@ class _Reader:
             self.refuse(f"{key}: {error.message}", index, key, error.remedy)
 
     def _named(
-        self, row: Mapping[str, Any], index: int, key: str, known: list[str], what: str
+        self, row: Mapping[str, Any], index: int, key: str, known: list[str], kind: str
     ) -> str:
         name = row[key]
         if not isinstance(name, str) or name not in known:
             shown = name[:40] if isinstance(name, str) else name
-            self.refuse(f"there is no {what} {shown!r}", index, key, nearest(str(shown), known))
+            self.refuse(f"there is no {kind} {shown!r}", index, key, nearest(str(shown), known))
         return name
 
     def _flag(self, row: Mapping[str, Any], index: int, key: str, default: bool) -> bool:

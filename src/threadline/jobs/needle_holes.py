@@ -22,12 +22,12 @@ def entering(item: MoveRun) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
 
 def hole_operations(job: Job) -> IntArray:
     """Return the (h,) operations of a job that end in a hole, in order; none without a needle."""
-    found: list[IntArray] = [np.zeros(0, dtype=np.int64)]
+    holes: list[IntArray] = [np.zeros(0, dtype=np.int64)]
     first = 0
     for item in move_runs(job):
         if not isinstance(item, MoveRun):
             first += 1
             continue
-        found.append(first + np.flatnonzero(entering(item)))
+        holes.append(first + np.flatnonzero(entering(item)))
         first += len(item)
-    return np.concatenate(found)
+    return np.concatenate(holes)

@@ -182,8 +182,8 @@ class MoveRun:
             tags = tagged(self.columns, begin, end) if self.columns else repeat(NO_TAGS)
             acts: Iterable[tuple[ToolEvent, ...]] = repeat(())
             if self.acts:
-                found = dict(self.acts)
-                acts = (found.get(index, ()) for index in range(begin, end))
+                acts_at = dict(self.acts)
+                acts = (acts_at.get(index, ()) for index in range(begin, end))
             yield from map(Move, targets, repeat(feed), sources, tags, acts)
 
 
@@ -196,20 +196,20 @@ def tagged(columns: Mapping[str, Column], begin: int, end: int) -> Iterator[Tags
         yield from (dict(zip(names, row, strict=True)) for row in rows)
         return
     for row in rows:
-        own = {
+        present_tags = {
             name: value
             for name, value in zip(names, row, strict=True)
             if value is not None and value == value and value != ""  # noqa: PLR0124 - NaN
         }
-        yield own or NO_TAGS
+        yield present_tags or NO_TAGS
 
 
 def columns_of(tags: Sequence[Tags]) -> Mapping[str, Column]:
     """Return the columns of the tags of consecutive moves; empty if no move has tags."""
     if not any(tags):
         return NO_COLUMNS
-    names = dict.fromkeys(name for own in tags for name in own)
-    return {name: _column([own.get(name) for own in tags]) for name in names}
+    names = dict.fromkeys(name for move_tags in tags for name in move_tags)
+    return {name: _column([move_tags.get(name) for move_tags in tags]) for name in names}
 
 
 def _column(values: list[float | str | None]) -> Column:
@@ -447,7 +447,7 @@ def move_runs(job: Job, longest: int = 4096) -> Iterator[Operation | MoveRun]:
     moves: list[Move] = []
     for item in job.runs():
         if isinstance(item, Move):
-            if moves and (len(moves) >= longest or not _together(item.source, moves[0].source)):
+            if moves and (len(moves) >= longest or not _in_one_run(item.source, moves[0].source)):
                 yield gathered(moves)
                 moves = []
             moves.append(item)
@@ -460,7 +460,7 @@ def move_runs(job: Job, longest: int = 4096) -> Iterator[Operation | MoveRun]:
         yield gathered(moves)
 
 
-def _together(one: Source, other: Source) -> bool:
+def _in_one_run(one: Source, other: Source) -> bool:
     return one.passes == other.passes and one.file == other.file
 
 

@@ -29,8 +29,8 @@ def begins_as_x_winder(path: Path) -> bool:
     if path.is_dir():
         return False
     with open_binary(path) as stream:
-        head: bytes = stream.read(_HEAD_BYTES)
-    return head.lstrip().startswith(_BEGINS)
+        first_bytes: bytes = stream.read(_HEAD_BYTES)
+    return first_bytes.lstrip().startswith(_BEGINS)
 
 
 def read_program(
@@ -57,8 +57,8 @@ def read_program(
         If the options do not fit together, or do not fit the file.
     """
     path = Path(path)
-    theirs = begins_as_x_winder(path)
-    if dialect_of(machine, dialect) != X_WINDER and not theirs:
+    is_x_winder = begins_as_x_winder(path)
+    if dialect_of(machine, dialect) != X_WINDER and not is_x_winder:
         read = partial(
             read_part_program,
             path,
@@ -67,8 +67,8 @@ def read_program(
             base_axes=base_axes,
             axes=axes,
         )
-        guessed = dialect is None and machine.programs.dialect == DEFAULT_DIALECT
-        return _read_guessed(path, read) if guessed else read(dialect=dialect)
+        may_guess = dialect is None and machine.programs.dialect == DEFAULT_DIALECT
+        return _read_guessed(path, read) if may_guess else read(dialect=dialect)
     if dialect not in (None, X_WINDER):
         raise OptionError(
             f"{Place(str(path))} is an X-Winder Designer program, and no {dialect} one",
@@ -89,25 +89,25 @@ def _read_guessed(path: Path, read: Callable[..., Job]) -> Job:
     try:
         return read(dialect=DEFAULT_DIALECT)
     except JobError as error:
-        refused = [error]
+        errors = [error]
     from threadline.jobs.gcode.foreign import guesses
 
-    likely = guesses(path)
-    for guess in likely:
+    dialect_guesses = guesses(path)
+    for guess in dialect_guesses:
         try:
             job = read(dialect=guess.dialect)
         except JobError as error:
-            refused.append(error)
+            errors.append(error)
             continue
-        said = (
+        guess_text = (
             f"{Place(str(path))}: read in the dialect {guess.dialect}, guessed from the file "
             f"(it has {guess.mark!r}); --dialect names another."
         )
-        return replace(job, warnings=(said, *job.warnings))
+        return replace(job, warnings=(guess_text, *job.warnings))
     # The dialect named by the file explains the error best, else the dialect that read furthest.
-    if likely and likely[0].named:
-        raise refused[1]
-    raise max(refused, key=lambda error: error.place.line if error.place is not None else 0)
+    if dialect_guesses and dialect_guesses[0].named:
+        raise errors[1]
+    raise max(errors, key=lambda error: error.place.line if error.place is not None else 0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -273,8 +273,8 @@ def own_product(path: str | Path) -> str | None:
     JobError
         If the winding cannot be read.
     """
-    found = next((known for known in FORMATS if known.fits(Path(path))), None)
-    if found is None or found.name != "winding":
+    job_format = next((known for known in FORMATS if known.fits(Path(path))), None)
+    if job_format is None or job_format.name != "winding":
         return None
     from threadline.jobs.winding import own_product as product_of
 
@@ -283,8 +283,10 @@ def own_product(path: str | Path) -> str | None:
 
 def _refused(path: Path, known: Format, name: str) -> OptionError:
     """Return the error for an option that the file's format does not have."""
-    of = [f"{one.name}s" for one in FORMATS if name in one.options]
-    if not of:
+    fitting_formats = [
+        f"{job_format.name}s" for job_format in FORMATS if name in job_format.options
+    ]
+    if not fitting_formats:
         return OptionError(
             f"a {known.name} has no option {name!r}",
             remedy=f"It has: {', '.join(known.options) or 'none'}.",
@@ -292,6 +294,6 @@ def _refused(path: Path, known: Format, name: str) -> OptionError:
     typed = _TYPED.get(name, name)
     return OptionError(
         f"{Place(str(path))} is {known.article} {known.name}, and {typed} is for "
-        f"{' and '.join(of)}",
+        f"{' and '.join(fitting_formats)}",
         remedy=f"Leave {typed} out.",
     )

@@ -24,9 +24,9 @@ def parse_offset(text: str, machine: Machine) -> Offset:
     OptionError
         If the text cannot be read, or names an unknown axis.
     """
-    by = dict.fromkeys(machine.axes, 0.0)
+    shifts = dict.fromkeys(machine.axes, 0.0)
     for part in text.split(","):
-        name, _, written = (piece.strip() for piece in part.partition("="))
+        name, _, quantity = (piece.strip() for piece in part.partition("="))
         axis = machine.axes.get(name)
         if axis is None:
             raise OptionError(
@@ -35,13 +35,13 @@ def parse_offset(text: str, machine: Machine) -> Offset:
             )
         try:
             unit = "m" if axis.kind == "linear" else "rad"
-            by[name] = parse_quantity(written, unit)
+            shifts[name] = parse_quantity(quantity, unit)
         except UnitError as error:
             raise OptionError(
                 f"offset {part.strip()[:40]!r}: {error.message}",
                 remedy='Write it like "X=12.5 mm, A=-30 deg".',
             ) from error
-    return tuple(by.values())
+    return tuple(shifts.values())
 
 
 def shifted(job: Job, machine: Machine, text: str | None) -> Job:
@@ -55,7 +55,7 @@ def shifted(job: Job, machine: Machine, text: str | None) -> Job:
     """
     if text is None:
         return job
-    by = parse_offset(text, machine)
+    offset = parse_offset(text, machine)
     if job.drawn or job.paced_by != "feed":
         raise OptionError(
             f"offset {text[:40]!r}: {job.name} is no part program",
@@ -66,23 +66,23 @@ def shifted(job: Job, machine: Machine, text: str | None) -> Job:
             f"offset {text[:40]!r}: the mandrel has a radius for each place, which would stay",
             remedy="Change the places of its radii, and give no offset.",
         )
-    runs = Stream(_runs, job, by)
-    folded = Stream(_folded, job, by)
-    start = tuple(np.add(job.start, by).tolist())
+    runs = Stream(_runs, job, offset)
+    folded = Stream(_folded, job, offset)
+    start = tuple(np.add(job.start, offset).tolist())
     return replace(job, start=start, operations=OperationStream(runs, folded))
 
 
-def _runs(job: Job, by: Offset) -> Iterator[Operation | MoveRun]:
-    return (_moved(item, by) for item in job.runs())
+def _runs(job: Job, offset: Offset) -> Iterator[Operation | MoveRun]:
+    return (_shifted_item(item, offset) for item in job.runs())
 
 
-def _folded(job: Job, by: Offset) -> Iterator[tuple[Operation | MoveRun, int, int]]:
-    return ((_moved(item, by), times, line) for item, times, line in job.folded())
+def _folded(job: Job, offset: Offset) -> Iterator[tuple[Operation | MoveRun, int, int]]:
+    return ((_shifted_item(item, offset), times, line) for item, times, line in job.folded())
 
 
-def _moved(item: Operation | MoveRun, by: Offset) -> Operation | MoveRun:
+def _shifted_item(item: Operation | MoveRun, offset: Offset) -> Operation | MoveRun:
     if isinstance(item, MoveRun):
-        return replace(item, targets=item.targets + np.array(by))
+        return replace(item, targets=item.targets + np.array(offset))
     if isinstance(item, Move):
-        return replace(item, target=tuple(np.add(item.target, by).tolist()))
+        return replace(item, target=tuple(np.add(item.target, offset).tolist()))
     return item

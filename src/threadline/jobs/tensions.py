@@ -30,18 +30,18 @@ def tensions_of(job: Job) -> tuple[tuple[int, float], ...]:
     >>> tensions_of(job)
     ((1, 8.0), (3, 7.6))
     """
-    found: list[tuple[int, float]] = []
+    changes: list[tuple[int, float]] = []
     number = 0
     for item in job.runs():
         count = len(item) if isinstance(item, MoveRun) else 1
-        for at, tension_n in _asked(item, count):
-            if not found or tension_n != found[-1][1]:
-                found.append((number + at, tension_n))
+        for index, tension_n in _tension_changes(item, count):
+            if not changes or tension_n != changes[-1][1]:
+                changes.append((number + index, tension_n))
         number += count
-    return tuple(found)
+    return tuple(changes)
 
 
-def _asked(item: object, count: int) -> list[tuple[int, float]]:
+def _tension_changes(item: object, count: int) -> list[tuple[int, float]]:
     """Return where in an operation or a run the tension changes, and to what."""
     if isinstance(item, MoveRun):
         tags = item.columns
@@ -55,8 +55,8 @@ def _asked(item: object, count: int) -> list[tuple[int, float]]:
     values = np.asarray(column, dtype=np.float64)[:count]
     rows = np.flatnonzero(np.isfinite(values))
     values = values[rows]
-    kept = np.flatnonzero(np.diff(values, prepend=np.nan) != 0.0)
-    return list(zip(rows[kept].tolist(), values[kept].tolist(), strict=True))
+    changed = np.flatnonzero(np.diff(values, prepend=np.nan) != 0.0)
+    return list(zip(rows[changed].tolist(), values[changed].tolist(), strict=True))
 
 
 def _is_tension(name: str) -> bool:

@@ -75,10 +75,10 @@ def read_x_winder(path: Path, *, machine: Machine, axes: str | None = None) -> J
                 "in its file.",
             )
     file = identify(path)
-    named = {index: letter for letter, index in letters.axes.items()}
+    letter_of = {index: letter for letter, index in letters.axes.items()}
     # An axis without a letter stays where it is; no word has its name in brackets.
-    spelt = tuple(named.get(i, f"({name})") for i, name in enumerate(machine.axis_names))
-    program = XWinderProgram(file, machine.name, spelt, kinds, letters.dropped)
+    axis_letters = tuple(letter_of.get(i, f"({name})") for i, name in enumerate(machine.axis_names))
+    program = XWinderProgram(file, machine.name, axis_letters, kinds, letters.dropped)
     reading = _Reading(program)
     moves = 0
     budget = int(machine.tick_budget.si)
@@ -107,9 +107,9 @@ def read_x_winder(path: Path, *, machine: Machine, axes: str | None = None) -> J
 
 def _renaming(machine: Machine) -> str:
     """Return the pairs of ``--axes`` that name the mandrel and the carriage of a machine."""
-    turning = next((n for n, axis in machine.axes.items() if axis.kind == "rotary"), "A")
-    going = next((n for n, axis in machine.axes.items() if axis.kind == "linear"), "X")
-    return f'"C={turning},Z={going}"'
+    rotary_axis = next((n for n, axis in machine.axes.items() if axis.kind == "rotary"), "A")
+    linear_axis = next((n for n, axis in machine.axes.items() if axis.kind == "linear"), "X")
+    return f'"C={rotary_axis},Z={linear_axis}"'
 
 
 def _kinds(machine: Machine) -> tuple[str, ...]:
@@ -162,21 +162,21 @@ class _Reading:
     def warnings(self) -> tuple[str, ...]:
         """Return warnings about the program, after a reading."""
         file = self.program.file
-        found = []
+        texts = []
         if self.head_line:
-            found.append(
+            texts.append(
                 f"{file.place(self.head_line)}: how fast the head turns (R) is not published; it "
                 "turns evenly through each block here."
             )
         if self.endless:
-            found.append(
+            texts.append(
                 f"{file.place(self.endless)}: G51 goes to and fro until the operator ends it; the "
                 "job ends before it here."
             )
         if self.idle:
             words = ", ".join(f"{w} (line {line})" for w, line in self.idle.items())
-            found.append(f"{file.place()}: without effect on motion here, first seen: {words}.")
-        return tuple(found)
+            texts.append(f"{file.place()}: without effect on motion here, first seen: {words}.")
+        return tuple(texts)
 
     def _source(self) -> Source:
         return Source(self.program.file.path, max(1, self.line))
@@ -192,34 +192,36 @@ class _Reading:
         if letter == "G" and number == 51:
             self.endless, self.ended = self.line, True
             return
-        rest = dict(words[1:])
-        if len(rest) != len(words) - 1:
+        parameters = dict(words[1:])
+        if len(parameters) != len(words) - 1:
             raise self._error(f"a word stands twice in {code[:40]!r}")
         if letter == "M":
-            yield from self._m(number, rest)
+            yield from self._m(number, parameters)
         elif letter == "G":
-            yield from self._g(number, rest, code)
+            yield from self._g(number, parameters, code)
         else:
             raise self._error(f"{code[:40]!r} is no line of an X-Winder program")
 
     def _words(self, code: str) -> list[tuple[str, float | None]]:
-        found: list[tuple[str, float | None]] = []
-        at = 0
-        while at < len(code):
-            match = _WORD.match(code, at)
+        words: list[tuple[str, float | None]] = []
+        position = 0
+        while position < len(code):
+            match = _WORD.match(code, position)
             if match is None:
-                raise self._error(f"{code[at : at + 40]!r} is no word of an X-Winder program")
-            found.append((match[1], None if match[2] is None else float(match[2])))
-            at = match.end()
-            while at < len(code) and code[at] in " \t":
-                at += 1
-        return found
+                raise self._error(
+                    f"{code[position : position + 40]!r} is no word of an X-Winder program"
+                )
+            words.append((match[1], None if match[2] is None else float(match[2])))
+            position = match.end()
+            while position < len(code) and code[position] in " \t":
+                position += 1
+        return words
 
-    def _m(self, code: float, rest: dict[str, float | None]) -> Iterator[Operation]:
+    def _m(self, code: float, parameters: dict[str, float | None]) -> Iterator[Operation]:
         if code == 0:
             yield Stop(False, self._source())
         elif code in (3, 4):
-            rpm = self._number(rest, "S")
+            rpm = self._number(parameters, "S")
             self.rpm = rpm if code == 4 else -rpm
         elif code == 5:
             self.rpm = 0.0
@@ -230,69 +232,74 @@ class _Reading:
         else:
             raise self._error(f"unknown word M{code:g}")
 
-    def _g(self, code: float, rest: dict[str, float | None], text: str) -> Iterator[Operation]:
+    def _g(
+        self, code: float, parameters: dict[str, float | None], text: str
+    ) -> Iterator[Operation]:
         if code in (20, 21):
             self.unit_m = 25.4e-3 if code == 20 else 1e-3
         elif code in (28, 90):
             self._note(f"G{code:g}")
         elif code == 4:
-            yield from self._dwell(rest)
-        elif code == 1 and rest and set(rest) <= _ACCELERATIONS:
+            yield from self._dwell(parameters)
+        elif code == 1 and parameters and set(parameters) <= _ACCELERATIONS:
             self._note("G1 I J K N O T")
         elif code == 1:
-            yield from self._move(rest, text)
+            yield from self._move(parameters, text)
         else:
             raise self._error(f"unknown word G{code:g}")
 
-    def _dwell(self, rest: dict[str, float | None]) -> Iterator[Operation]:
-        if "P" in rest:
-            yield from self._turning(_P_S * self._number(rest, "P"))
+    def _dwell(self, parameters: dict[str, float | None]) -> Iterator[Operation]:
+        if "P" in parameters:
+            yield from self._turning(_P_S * self._number(parameters, "P"))
             return
-        angle = self._number(rest, "C")
-        if "L" in rest:
-            register = self._number(rest, "L")
+        angle = self._number(parameters, "C")
+        if "L" in parameters:
+            register = self._number(parameters, "L")
             if register not in self.saved:
                 raise self._error(f"L{register:g} waits for an angle that no M{register:g} saved")
             angle = (self.saved[int(register)] + angle - self.at["C"]) % 360.0
         if self.rpm == 0.0:
             raise self._error("G4 C waits for a mandrel that does not turn", "Write M4 S first.")
-        target = self._targets(rest, "B")
+        target = self._targets(parameters, "B")
         duration_s = angle / abs(6.0 * self.rpm)
         yield from self._go(target, duration_s)
 
-    def _move(self, rest: dict[str, float | None], text: str) -> Iterator[Operation]:
-        unknown = set(rest) - set("FZYBRESCA")
+    def _move(self, parameters: dict[str, float | None], text: str) -> Iterator[Operation]:
+        unknown = set(parameters) - set("FZYBRESCA")
         if unknown:
             raise self._error(f"{text[:40]!r}: {min(unknown)} has no use in a move")
-        if "F" in rest:
-            self.feed = self._number(rest, "F")
-        target = self._targets(rest, "ZYB")
-        if "C" in rest:
-            rpm = self._number(rest, "S")
-            duration_s = self._number(rest, "C") / (6.0 * rpm)
-            before, self.rpm = self.rpm, rpm
+        if "F" in parameters:
+            self.feed = self._number(parameters, "F")
+        target = self._targets(parameters, "ZYB")
+        if "C" in parameters:
+            rpm = self._number(parameters, "S")
+            duration_s = self._number(parameters, "C") / (6.0 * rpm)
+            rpm_before, self.rpm = self.rpm, rpm
             yield from self._go(target, duration_s)
-            self.rpm = before
+            self.rpm = rpm_before
             return
-        way = {"Z": self.feed, "Y": self._number(rest, "E") if "E" in rest else self.feed}
-        needed = [
+        speeds = {
+            "Z": self.feed,
+            "Y": self._number(parameters, "E") if "E" in parameters else self.feed,
+        }
+        times_s = [
             abs(target[name] - self.at[name]) / (speed * self.unit_m)
-            for name, speed in way.items()
+            for name, speed in speeds.items()
             if name in target and target[name] != self.at[name] and self._above_0(speed)
         ]
-        yield from self._go(target, max(needed, default=0.0))
+        yield from self._go(target, max(times_s, default=0.0))
 
     def _above_0(self, speed: float) -> bool:
         if speed <= 0.0:
             raise self._error("a move has no feed F above 0", "Give F.")
         return True
 
-    def _targets(self, rest: dict[str, float | None], letters: str) -> dict[str, float]:
-        found = {}
+    def _targets(self, parameters: dict[str, float | None], letters: str) -> dict[str, float]:
+        targets = {}
         for letter in letters:
-            if letter not in rest:
+            if letter not in parameters:
                 continue
-            value = self._signed(rest, letter)
+            value = self._signed(parameters, letter)
             if letter in self.program.dropped:
                 self._note(letter)
                 continue
@@ -305,10 +312,15 @@ class _Reading:
                     )
                 continue
             linear = self.program.kinds[self.program.axes.index(letter)] == "linear"
-            found[letter] = value * self.unit_m if linear else value
-            if letter == "B" and "R" in rest and not self.head_line and found["B"] != self.at["B"]:
+            targets[letter] = value * self.unit_m if linear else value
+            if (
+                letter == "B"
+                and "R" in parameters
+                and not self.head_line
+                and targets["B"] != self.at["B"]
+            ):
                 self.head_line = self.line
-        return found
+        return targets
 
     def _turning(self, duration_s: float) -> Iterator[Operation]:
         if self.rpm == 0.0:
@@ -318,11 +330,11 @@ class _Reading:
 
     def _go(self, target: dict[str, float], duration_s: float) -> Iterator[Operation]:
         """Yield the move to ``target`` in ``duration_s``, while the mandrel keeps turning."""
-        moved = any(self.at[name] != value for name, value in target.items())
-        turned = 6.0 * self.rpm * duration_s
+        moves = any(self.at[name] != value for name, value in target.items())
+        turned_deg = 6.0 * self.rpm * duration_s
         self.at.update(target)
-        self.at["C"] += turned
-        if not moved and not turned:
+        self.at["C"] += turned_deg
+        if not moves and not turned_deg:
             return
         position = tuple(
             self.at[name] if kind == "linear" else math.radians(self.at[name])
@@ -335,18 +347,18 @@ class _Reading:
         )
         yield Move(position, feed, self._source())
 
-    def _signed(self, rest: dict[str, float | None], letter: str) -> float:
-        value = rest.get(letter)
+    def _signed(self, parameters: dict[str, float | None], letter: str) -> float:
+        value = parameters.get(letter)
         if value is None:
             raise self._error(f"{letter} has no number")
         return value
 
-    def _number(self, rest: dict[str, float | None], letter: str) -> float:
+    def _number(self, parameters: dict[str, float | None], letter: str) -> float:
         """Return the number of a required word: not negative, and above 0 for S and L."""
-        value = rest.get(letter)
+        value = parameters.get(letter)
         if value is None or value < 0.0 or (value == 0.0 and letter in "SL"):
-            said = "no number" if value is None else f"{value:g}"
-            raise self._error(f"the word {letter} has {said}", f"Write {letter} and a number.")
+            fault = "no number" if value is None else f"{value:g}"
+            raise self._error(f"the word {letter} has {fault}", f"Write {letter} and a number.")
         return value
 
     def _note(self, word: str) -> None:

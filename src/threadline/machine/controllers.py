@@ -290,19 +290,22 @@ class StateSpaceController:
             )
         if n > MOST_STATES:
             raise ValueError(f"A: {n} rows, limit {MOST_STATES} states")
-        wanted = {"A": (n, n), "B": (n, inputs), "C": (axes, n), "D": (axes, inputs)}
+        expected_sizes = {"A": (n, n), "B": (n, inputs), "C": (axes, n), "D": (axes, inputs)}
         if self.L:
-            wanted["L"] = (n, axes)
-        for name, (rows, columns) in wanted.items():
+            expected_sizes["L"] = (n, axes)
+        for name, (rows, columns) in expected_sizes.items():
             matrix: Matrix = getattr(self, name)
             if not n and name != "D" and not any(matrix):
                 continue
             if len(matrix) != rows:
-                raise ValueError(f"{name}: {len(matrix)} rows, {_why(name, rows, columns)}")
-            for at, row in enumerate(matrix):
+                raise ValueError(
+                    f"{name}: {len(matrix)} rows, {_expected_size(name, rows, columns)}"
+                )
+            for row_index, row in enumerate(matrix):
                 if len(row) != columns:
                     raise ValueError(
-                        f"{name}: {len(row)} numbers in row {at + 1}, {_why(name, rows, columns)}"
+                        f"{name}: {len(row)} numbers in row {row_index + 1}, "
+                        f"{_expected_size(name, rows, columns)}"
                     )
         return self
 
@@ -311,25 +314,25 @@ class StateSpaceController:
         n, axes = len(self.A), len(self.references)
         inputs = axes + len(self.sensors)
         shape = {"A": (n, n), "B": (n, inputs), "C": (axes, n), "D": (axes, inputs), "L": (n, axes)}
-        given = getattr(self, name)
-        if not any(given):
+        written = getattr(self, name)
+        if not any(written):
             return np.zeros(shape[name])
-        return np.array(given, dtype=np.float64).reshape(shape[name])
+        return np.array(written, dtype=np.float64).reshape(shape[name])
 
     def of_axis(self, axis: str) -> AxisOfStateSpace:
         """Return the settings for one of its axes."""
-        at = self.references.index(axis)
+        index = self.references.index(axis)
         return AxisOfStateSpace(
             kind="state-space",
             clock=self.clock,
             reference_clock=self.reference_clock,
-            sensor=self.sensors[at],
-            drive=self.drives[at],
+            sensor=self.sensors[index],
+            drive=self.drives[index],
             dac=self.dac,
         )
 
 
-def _why(name: str, rows: int, columns: int) -> str:
+def _expected_size(name: str, rows: int, columns: int) -> str:
     sizes = {
         "A": "states x states", "B": "states x (references + sensors)", "C": "drives x states",
         "D": "drives x (references + sensors)", "L": "states x drives",

@@ -58,9 +58,9 @@ def on_days(
     numbers
         Dotted names and (k,) SI values of the numbers that differ from ``machine``.
     """
-    each = {path: np.repeat(values, len(days)) for path, values in numbers.items()}
+    by_day = {path: np.repeat(values, len(days)) for path, values in numbers.items()}
     count = len(next(iter(numbers.values())))
-    return on_own_days(machine, each, days.taken(np.tile(np.arange(len(days)), count)))
+    return on_own_days(machine, by_day, days.taken(np.tile(np.arange(len(days)), count)))
 
 
 def on_own_days(
@@ -73,8 +73,10 @@ def on_own_days(
     numbers
         As in ``on_days``.
     """
-    found = dict(numbers)
+    numbers_by_path = dict(numbers)
     for path, values in varied_numbers(machine, days).items():
-        known = path in found
-        found[path] = found[path] * (values / number_at(machine, path).si) if known else values
-    return found
+        is_varied = path in numbers_by_path
+        numbers_by_path[path] = (
+            numbers_by_path[path] * (values / number_at(machine, path).si) if is_varied else values
+        )
+    return numbers_by_path

@@ -81,7 +81,7 @@ def missing_keys(
     content
         The machine file, overlays merged into it.
     """
-    found = []
+    keys = []
     for error in errors:
         if error["type"] not in MISSING:
             continue
@@ -90,18 +90,18 @@ def missing_keys(
         if error["type"] == "union_tag_not_found":
             kinds = node.get("discriminator", {}).get("mapping", {})
             forms = " or ".join(f'"{kind}"' for kind in kinds)
-            found.append(MissingKey((*in_file(tagged), "kind"), f"kind = {forms}"))
+            keys.append(MissingKey((*in_file(tagged), "kind"), f"kind = {forms}"))
             continue
         location = in_file(tagged)
         form = sample(node, _kind(content, location))
-        found.append(MissingKey(location, _assigned(location, node, form)))
+        keys.append(MissingKey(location, _assigned(location, node, form)))
     # Pydantic checks rules that concern several keys only after all keys are valid: too late here.
-    for table in _missing_tables(content) if found else ():
+    for table in _missing_tables(content) if keys else ():
         node = field_node((table,))
         form = sample(node, "linear" if table == "axes" else "")
-        found.append(MissingKey((table,), _assigned((table,), node, form)))
+        keys.append(MissingKey((table,), _assigned((table,), node, form)))
     order = list(field_node(())["properties"])
-    return sorted(found, key=lambda key: order.index(key.location[0]))
+    return sorted(keys, key=lambda key: order.index(key.location[0]))
 
 
 def _missing_tables(content: Mapping[str, Any]) -> Iterator[str]:
@@ -136,9 +136,9 @@ def sample(node: Mapping[str, Any], kind: str = "") -> str:
     if "x-units" in node:
         unit = _unit(node["x-units"], kind)
         return f'"{_SAMPLES.get(unit, f"1 {unit}")} exact, assumed"'
-    for kept in ("const", "enum"):
-        if kept in node:
-            value = node[kept] if kept == "const" else node[kept][0]
+    for choice in ("const", "enum"):
+        if choice in node:
+            value = node[choice] if choice == "const" else node[choice][0]
             return f'"{value}"'
     if "oneOf" in node:
         return sample(node["oneOf"][0], kind)
@@ -146,11 +146,11 @@ def sample(node: Mapping[str, Any], kind: str = "") -> str:
         entries = node.get("prefixItems", [node.get("items", {})])
         return f"[{', '.join(sample(entry, kind) for entry in entries)}]"
     if node.get("type") == "object":
-        return f"{{ {', '.join(_rows(node, kind))} }}"
+        return f"{{ {', '.join(_sample_rows(node, kind))} }}"
     return {"boolean": "true", "number": "1.0", "integer": "1"}.get(str(node.get("type")), '"text"')
 
 
-def _rows(node: Mapping[str, Any], kind: str) -> Iterator[str]:
+def _sample_rows(node: Mapping[str, Any], kind: str) -> Iterator[str]:
     properties = node.get("properties")
     if properties is None:
         patterns = node.get("patternProperties", {})
@@ -200,7 +200,7 @@ def _kind(content: Mapping[str, Any], location: tuple[str, ...]) -> str:
 _MAX_BYTES = 1_000_000
 _REFERENCE = re.compile(r"([A-Za-z_]+(?:\.[A-Za-z0-9_-]+)*)(?: names the \w+ '([^']*)'|: )")
 _DESIGN_KEY = re.compile(r"([A-Za-z_]+(?:\.[A-Za-z0-9_-]+)*): ")
-_OURS = ("sha256", "file", "reference", "parameters", "mounted")
+_COMPUTED = ("sha256", "file", "reference", "parameters", "mounted")
 """Fields of ``Machine`` that are not keys of a file."""
 
 
@@ -237,14 +237,14 @@ def overlay_names(reference: str | Path) -> tuple[str, ...]:
     """
     name, _ = split_reference(str(reference))
     available = _resolve(name, ())[0].get("overlays", {})
-    fitting = []
+    loadable = []
     for overlay in available if isinstance(available, dict) else ():
         try:
             load_machine(f"{name}+{overlay}")
         except MachineError:
             continue
-        fitting.append(overlay)
-    return tuple(fitting)
+        loadable.append(overlay)
+    return tuple(loadable)
 
 
 def load_machine(reference: str | Path) -> Machine:
@@ -321,21 +321,22 @@ def _overlaid(content: dict[str, Any], overlays: list[str], name: str, file: str
     return content
 
 
-def _resolve(name: str, seen: tuple[str, ...]) -> tuple[dict[str, Any], str, str]:
-    if name in seen:
-        above, above_file = _read(seen[-1])
+def _resolve(name: str, names_below: tuple[str, ...]) -> tuple[dict[str, Any], str, str]:
+    if name in names_below:
+        file_above, path_above = _read(names_below[-1])
         raise MachineError(
-            f"machine files are based on each other in a circle: {' -> '.join([*seen, name])}",
-            place=Place(above_file, line_of(above, ("base",))),
+            "machine files are based on each other in a circle: "
+            f"{' -> '.join([*names_below, name])}",
+            place=Place(path_above, line_of(file_above, ("base",))),
             remedy="Remove one base.",
         )
     text, file = _read(name)
     try:
         content = copy.deepcopy(_parsed(text))
     except tomllib.TOMLDecodeError as error:
-        what, line = toml_fault(error, text)
-        raise MachineError(what, place=Place(file, line), remedy="Correct that line.") from error
-    for key in _OURS:
+        fault, line = toml_fault(error, text)
+        raise MachineError(fault, place=Place(file, line), remedy="Correct that line.") from error
+    for key in _COMPUTED:
         if key in content:
             raise MachineError(
                 f"unknown key {key!r}",
@@ -354,11 +355,11 @@ def _resolve(name: str, seen: tuple[str, ...]) -> tuple[dict[str, Any], str, str
     base_name, base_overlays = split_reference(base)
     if base_name.endswith(".toml"):
         base_name = os.path.normpath(Path(file).parent / base_name)
-    below, _, base_file = _resolve(base_name, (*seen, name))
-    below = _overlaid(below, base_overlays, base_name, base_file)
+    base_content, _, base_file = _resolve(base_name, (*names_below, name))
+    base_content = _overlaid(base_content, base_overlays, base_name, base_file)
     # The operator's settings of a base are not inherited.
-    below.pop("operator", None)
-    return _merge(_without_lost_eye(below, content), content), text, file
+    base_content.pop("operator", None)
+    return _merge(_without_lost_eye(base_content, content), content), text, file
 
 
 @lru_cache(maxsize=16)
@@ -386,8 +387,8 @@ def _check_name(name: str) -> None:
     known = library_names()
     if name not in known:
         hint = nearest(name, known, "The library has")
-        made = "A file ends in .toml; threadline new makes one from a controller's settings."
-        raise MachineError(f"no machine {name[:80]!r} in the library", remedy=f"{hint} {made}")
+        file_hint = "A file ends in .toml; threadline new makes one from a controller's settings."
+        raise MachineError(f"no machine {name[:80]!r} in the library", remedy=f"{hint} {file_hint}")
 
 
 def _merge(below: dict[str, Any], above: dict[str, Any]) -> dict[str, Any]:
@@ -408,12 +409,12 @@ def _without_lost_eye(below: dict[str, Any], above: dict[str, Any]) -> dict[str,
     tool, axes = below.get("tool"), above.get("axes")
     if not isinstance(tool, dict) or not isinstance(axes, dict) or "tool" in above:
         return below
-    named = {part.get("axis") for part in map(tool.get, EYE_PARTS) if isinstance(part, dict)}
-    if not any(value == "none" and name in named for name, value in axes.items()):
+    eye_axes = {part.get("axis") for part in map(tool.get, EYE_PARTS) if isinstance(part, dict)}
+    if not any(value == "none" and name in eye_axes for name, value in axes.items()):
         return below
-    of_eye = (*EYE_PARTS, *EYE_BODY, "kind")
-    kept = {key: value for key, value in tool.items() if key not in of_eye}
-    return below | {"tool": kept}
+    eye_keys = (*EYE_PARTS, *EYE_BODY, "kind")
+    plain_tool = {key: value for key, value in tool.items() if key not in eye_keys}
+    return below | {"tool": plain_tool}
 
 
 def place_in(machine: Machine, key: str) -> Place | None:
@@ -454,43 +455,43 @@ def _refuse(error: ValidationError, content: dict[str, Any], text: _Text) -> NoR
     # Pydantic adds the tag of a union and "[key]" to the location; the file has neither of them.
     tagged = tuple(str(part) for part in first["loc"] if part != "[key]")
     location = in_file(tagged)
-    where = ".".join(location)
+    dotted_key = ".".join(location)
     place = text.place(*location)
     if first["type"] in unknown:
         hint = nearest(
             location[-1],
-            [key for key in field_names(tagged[:-1]) if len(location) > 1 or key not in _OURS],
+            [key for key in field_names(tagged[:-1]) if len(location) > 1 or key not in _COMPUTED],
         )
         others = kinds_with(tagged)
         if others:
             hint = f"Kind {' or '.join(map(repr, others))} has it: change kind, or remove the key."
-        raise MachineError(f"unknown key {where!r}", place=place, remedy=hint) from error
+        raise MachineError(f"unknown key {dotted_key!r}", place=place, remedy=hint) from error
     missing = missing_keys(errors, content)
     if missing and first["type"] in MISSING:
-        said = ", ".join(key.said_at(text.line(*key.location)) for key in missing)
-        alone = len(missing) == 1
+        message_text = ", ".join(key.said_at(text.line(*key.location)) for key in missing)
+        is_single = len(missing) == 1
         raise MachineError(
             f"{missing[0].said} is missing"
-            if alone
-            else f"{len(missing)} keys are missing: {said}",
-            place=text.place(*missing[0].location) if alone else Place(text.file),
-            remedy=f"Add it, like {missing[0].form}" if alone else "Add them.",
+            if is_single
+            else f"{len(missing)} keys are missing: {message_text}",
+            place=text.place(*missing[0].location) if is_single else Place(text.file),
+            remedy=f"Add it, like {missing[0].form}" if is_single else "Add them.",
         ) from error
     message, remedy = field_fault(first)
-    named = _REFERENCE.match(message)
-    if not location and named:
+    key_match = _REFERENCE.match(message)
+    if not location and key_match:
         # Checks of references run on the whole machine; their messages begin with the key.
-        place = text.place(*named[1].split("."), *([named[2]] if named[2] else []))
-    said = f"{where}: {message}" if where else message
-    named = _DESIGN_KEY.match(message)
-    whole = location[:1] in {("design",), ("controllers",)}
-    if whole and first["type"] == "value_error" and named:
+        place = text.place(*key_match[1].split("."), *([key_match[2]] if key_match[2] else []))
+    message_text = f"{dotted_key}: {message}" if dotted_key else message
+    key_match = _DESIGN_KEY.match(message)
+    is_whole_table = location[:1] in {("design",), ("controllers",)}
+    if is_whole_table and first["type"] == "value_error" and key_match:
         # Messages of checks of a whole table begin with the key in that table.
-        place = text.place(*location, *named[1].split("."))
-        said = f"{where}.{message}"
+        place = text.place(*location, *key_match[1].split("."))
+        message_text = f"{dotted_key}.{message}"
     if first["type"] == "too_long" and isinstance(first["input"], dict):
         extra = list(first["input"])[first["ctx"]["max_length"]]
         place = text.place(*location, extra)
     if missing:
         remedy = f"{remedy} Also missing: {', '.join(key.said for key in missing)}.".strip()
-    raise MachineError(said, place=place, remedy=remedy) from error
+    raise MachineError(message_text, place=place, remedy=remedy) from error

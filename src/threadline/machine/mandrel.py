@@ -93,11 +93,11 @@ class LocalRadii:
 
     def most_between(self, positions: FloatArray) -> FloatArray:
         """Return the (n - 1, axes) largest shares on the segments between (n, axes) positions."""
-        most = np.ones_like(positions[1:])
+        largest = np.ones_like(positions[1:])
         for cones in self.cones:
             places = positions[:, cones.along]
-            most[:, cones.turning] = cones.most_between(places[:-1], places[1:])
-        return most
+            largest[:, cones.turning] = cones.most_between(places[:-1], places[1:])
+        return largest
 
 
 def local_radii(profiles: Mapping[str, Mandrel], axes: Sequence[str]) -> LocalRadii | None:

@@ -152,15 +152,15 @@ class Machine(AxisArrays):
     @model_validator(mode="after")
     def _references(self) -> Machine:
         if self.without_dynamics:
-            beside = {name: getattr(self, name) for name in _WITH_DYNAMICS}
-            check_limits_only(self.drives, self.axes, beside)
+            dynamics = {name: getattr(self, name) for name in _WITH_DYNAMICS}
+            check_limits_only(self.drives, self.axes, dynamics)
         elif not self.bodies:
             raise ValueError("a machine needs at least one [bodies.x]")
         for name, link in self.links.items():
             check_known(link.stretch, self.bodies, f"links.{name}.stretch", "body")
             if link.eccentric is not None:
-                at = f"links.{name}.eccentric.angle"
-                check_known(link.eccentric.angle, self.bodies, at, "body")
+                key = f"links.{name}.eccentric.angle"
+                check_known(link.eccentric.angle, self.bodies, key, "body")
         for name, drive in self.drives.items():
             if isinstance(drive, DcMotor):
                 check_known(drive.acts_on, self.bodies, f"drives.{name}.acts_on", "body")
@@ -174,9 +174,9 @@ class Machine(AxisArrays):
         for name, axis in self.axes.items():
             where = f"axes.{name}"
             if axis.drive:
-                at = f"{where}.drive"
+                key = f"{where}.drive"
                 motionless = [n for n, d in self.drives.items() if not isinstance(d, DcMotor)]
-                check_known([axis.drive], motionless, at, "drive")
+                check_known([axis.drive], motionless, key, "drive")
             else:
                 check_known(
                     [axis.controller], self.controllers, f"{where}.controller", "controller"
@@ -198,47 +198,47 @@ class Machine(AxisArrays):
         self._on_off_references()
         self._stitching_references()
         if self.tolerances != Tolerances():  # most variants name none; the check is slow
-            numbers = [quantities(getattr(self, table), table) for table in NUMBERED]
-            check_named(self.tolerances, [path for of in numbers for path, _ in of])
+            tables = [quantities(getattr(self, table), table) for table in NUMBERED]
+            check_named(self.tolerances, [path for of_table in tables for path, _ in of_table])
         return self
 
     def _controller_references(self) -> None:
         for name, controller in self.controllers.items():
-            where = f"controllers.{name}"
-            check_known([controller.clock], self.clocks, f"{where}.clock", "clock")
+            path = f"controllers.{name}"
+            check_known([controller.clock], self.clocks, f"{path}.clock", "clock")
             if controller.reference_clock is not None:
-                at = f"{where}.reference_clock"
-                check_known([controller.reference_clock], self.clocks, at, "clock")
+                key = f"{path}.reference_clock"
+                check_known([controller.reference_clock], self.clocks, key, "clock")
             encoders = [n for n, s in self.sensors.items() if s.kind == "encoder"]
             if isinstance(controller, StateSpaceController):
-                own = controller.sensors[: len(controller.references)]
-                check_known(controller.references, self.axes, f"{where}.references", "axis")
-                check_known(own, encoders, f"{where}.sensors", "encoder")
-                check_known(controller.sensors, self.sensors, f"{where}.sensors", "sensor")
-                check_known(controller.drives, self.motors, f"{where}.drives", "drive")
+                axis_sensors = controller.sensors[: len(controller.references)]
+                check_known(controller.references, self.axes, f"{path}.references", "axis")
+                check_known(axis_sensors, encoders, f"{path}.sensors", "encoder")
+                check_known(controller.sensors, self.sensors, f"{path}.sensors", "sensor")
+                check_known(controller.drives, self.motors, f"{path}.drives", "drive")
                 self._check_read_once(name, controller)
-                moved = [n for n, axis in self.axes.items() if axis.controller == name]
-                if set(moved) != set(controller.references):
+                axes_moved = [n for n, axis in self.axes.items() if axis.controller == name]
+                if set(axes_moved) != set(controller.references):
                     raise ValueError(
-                        f"{where}.references: it names {', '.join(controller.references)}, but the "
-                        f"axes with this controller are {', '.join(moved) or 'none'}"
+                        f"{path}.references: it names {', '.join(controller.references)}, but the "
+                        f"axes with this controller are {', '.join(axes_moved) or 'none'}"
                     )
                 continue
-            check_known([controller.sensor], encoders, f"{where}.sensor", "encoder")
-            check_known([controller.drive], self.motors, f"{where}.drive", "drive")
+            check_known([controller.sensor], encoders, f"{path}.sensor", "encoder")
+            check_known([controller.drive], self.motors, f"{path}.drive", "drive")
 
     def _check_read_once(self, name: str, controller: StateSpaceController) -> None:
         """Refuse an additional sensor that is the encoder of another controller's loop."""
         others = controller.sensors[len(controller.references) :]
-        for other, one in self.controllers.items():
+        for other, other_controller in self.controllers.items():
             if other == name:
                 continue
-            own = (
-                one.sensors[: len(one.references)]
-                if isinstance(one, StateSpaceController)
-                else (one.sensor,)
+            other_encoders = (
+                other_controller.sensors[: len(other_controller.references)]
+                if isinstance(other_controller, StateSpaceController)
+                else (other_controller.sensor,)
             )
-            for sensor in sorted(set(own) & set(others)):
+            for sensor in sorted(set(other_encoders) & set(others)):
                 raise ValueError(
                     f"controllers.{name}.sensors: it reads the encoder {sensor!r}, which "
                     f"controllers.{other} reads: one controller that reads both encoders must move "
@@ -265,25 +265,28 @@ class Machine(AxisArrays):
                 )
         used: dict[str, str] = {}
         for name, cylinder in self.cylinders.items():
-            where = f"cylinders.{name}"
-            check_known([cylinder.pushes], self.bodies, f"{where}.pushes", "body")
-            check_known([cylinder.reacts_on], self.bodies, f"{where}.reacts_on", "body")
-            check_known(cylinder.frame, self.bodies, f"{where}.frame", "body")
-            self._check_kinds(where, cylinder)
+            path = f"cylinders.{name}"
+            check_known([cylinder.pushes], self.bodies, f"{path}.pushes", "body")
+            check_known([cylinder.reacts_on], self.bodies, f"{path}.reacts_on", "body")
+            check_known(cylinder.frame, self.bodies, f"{path}.frame", "body")
+            self._check_kinds(path, cylinder)
             for sense in ("forward", "back"):
-                way = cylinder.way(sense == "forward")
-                for output, kind in ((way.valve, "direction"), *((f, "flow") for f in way.flows)):
-                    at = f"{where}.{sense}"
-                    check_known([output], self.outputs, at, "output")
+                direction = cylinder.way(sense == "forward")
+                for output, kind in (
+                    (direction.valve, "direction"),
+                    *((f, "flow") for f in direction.flows),
+                ):
+                    key = f"{path}.{sense}"
+                    check_known([output], self.outputs, key, "output")
                     if self.outputs[output].kind != kind:
-                        raise ValueError(f"{at}: the output {output!r} is not a {kind} valve")
+                        raise ValueError(f"{key}: the output {output!r} is not a {kind} valve")
                     if output in used:
-                        raise ValueError(f"{at}: the output {output!r} is used by {used[output]}")
-                    used[output] = at
+                        raise ValueError(f"{key}: the output {output!r} is used by {used[output]}")
+                    used[output] = key
         for name, contact in self.contacts.items():
             if contact.cylinder is not None:
-                at = f"contacts.{name}.cylinder"
-                check_known([contact.cylinder], self.cylinders, at, "cylinder")
+                key = f"contacts.{name}.cylinder"
+                check_known([contact.cylinder], self.cylinders, key, "cylinder")
         check_contacts(self.cylinders, self.outputs, self.contacts)
         check_addresses(self.outputs, self.contacts)
 
@@ -297,31 +300,31 @@ class Machine(AxisArrays):
                     f"is {cylinder.kind}"
                 )
         for body, weight in cylinder.frame.items():
-            wanted = "m/rad" if self.bodies[body].kind == "rotary" else ""
-            if weight.unit != wanted:
+            expected = "m/rad" if self.bodies[body].kind == "rotary" else ""
+            if weight.unit != expected:
                 raise ValueError(
                     f"{where}.frame.{body}: the weight of a {self.bodies[body].kind} body "
-                    + (f"is in {wanted}" if wanted else "has no unit")
+                    + (f"is in {expected}" if expected else "has no unit")
                     + f", not {weight.unit or 'without unit'}"
                 )
 
     def _stitching_references(self) -> None:
         if (self.shaft is None) != (self.tables is None):
-            there, lacks = ("shaft", "tables") if self.tables is None else ("tables", "shaft")
-            raise ValueError(f"{there}: a machine with [{there}] needs [{lacks}] too")
+            present, absent = ("shaft", "tables") if self.tables is None else ("tables", "shaft")
+            raise ValueError(f"{present}: a machine with [{present}] needs [{absent}] too")
         if self.tables is None:
             return
         check_known([self.tables.clock], self.clocks, "tables.clock", "clock")
         if self.cylinders or not self.axes:
             raise ValueError("tables: step tables move [axes.X] and exclude cylinders")
         for name, axis in self.axes.items():
-            at = f"axes.{name}"
+            key = f"axes.{name}"
             steps = axis.counts.si * self.tables.unit.si
             if axis.kind != "linear" or not axis.drive:
-                raise ValueError(f"{at}: step tables need linear axes with a position drive")
+                raise ValueError(f"{key}: step tables need linear axes with a position drive")
             if abs(steps - round(steps)) > 1e-6 * steps or not round(steps):
                 raise ValueError(
-                    f"{at}.counts: {steps:.6g} steps in tables.unit; it must be a whole number"
+                    f"{key}.counts: {steps:.6g} steps in tables.unit; it must be a whole number"
                 )
 
     def __repr__(self) -> str:
@@ -354,11 +357,11 @@ class Machine(AxisArrays):
         """
         if self.tables is not None:
             return dict.fromkeys(self.axes, "stepped")
-        others = {
+        drive_kinds = {
             name: self.drives[axis.drive].kind for name, axis in self.axes.items() if axis.drive
         }
         axes = {name: axis.kind for name, axis in self.axes.items()}
-        return axes | others | dict.fromkeys(self.cylinders, "cylinder")
+        return axes | drive_kinds | dict.fromkeys(self.cylinders, "cylinder")
 
     @property
     def rotary(self) -> frozenset[str]:
@@ -422,8 +425,8 @@ class Machine(AxisArrays):
     def observing(self) -> tuple[str, ...]:
         """Names of sensors other than the encoders of axes; recordings have them by name."""
         loops = [name for name, axis in self.axes.items() if axis.controller]
-        taken = {self.controller_of(name).sensor for name in loops}
-        return tuple(name for name in self.sensors if name not in taken)
+        loop_sensors = {self.controller_of(name).sensor for name in loops}
+        return tuple(name for name in self.sensors if name not in loop_sensors)
 
     def drive_of(self, axis: str) -> DcMotor:
         """Return the drive that the axis's controller commands."""
@@ -451,8 +454,8 @@ class Machine(AxisArrays):
         drive = self.drives.get(self.axes[name].drive)
         if drive is not None and not isinstance(drive, DcMotor):
             return self.clock(drive.clock)
-        first = self.controller_of(name)
-        return self.clock(first.reference_clock or first.clock)
+        first_controller = self.controller_of(name)
+        return self.clock(first_controller.reference_clock or first_controller.clock)
 
 
 def clocked(machine: Machine) -> list[tuple[str, str]]:

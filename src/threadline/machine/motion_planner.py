@@ -226,9 +226,9 @@ def check_units_of_axes(
     """
     check_known(given, axes, key, "axis")
     for name, value in given.items():
-        own = f"{'rad' if name in rotary else 'm'}{unit}"
-        if value.unit != own:
-            raise ValueError(f"{key}.{name} is in {value.unit}, but the axis needs {own}")
+        expected = f"{'rad' if name in rotary else 'm'}{unit}"
+        if value.unit != expected:
+            raise ValueError(f"{key}.{name} is in {value.unit}, but the axis needs {expected}")
 
 
 FeedRule = Literal[

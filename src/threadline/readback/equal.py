@@ -34,7 +34,7 @@ HEADER = ("target", "read by", "verdict", "place", "limit", "at the tool", "time
 EQUAL, DIFFERS, READ_BACK, SKIPPED = "equal", "differs", "read back", "skipped"
 """Verdicts. ``read back``: no difference, but only a reader of Threadline's has read the file."""
 _SCHEDULES = ("st", "openplc", "plcopen", "scl")
-_LEAST = 1e-4  # a smaller difference is a rounding error, and shown as 0
+_LEAST_SHOWN = 1e-4  # a smaller difference is a rounding error, and shown as 0
 _COARSE = 1000.0  # um or urad from which a difference is shown in mm or mrad
 _NO_READER = "no reader here is independent of its writer"
 
@@ -149,8 +149,8 @@ class Equality(Summarised):
     def closing(self) -> str:
         """Return the answer in one line."""
         count = {word: 0 for word in (EQUAL, DIFFERS, READ_BACK, SKIPPED)}
-        for one in self.targets:
-            count[one.verdict] += 1
+        for target_row in self.targets:
+            count[target_row.verdict] += 1
         outcome = "equal" if self.passed else "NOT EQUAL"
         parts = [f"{count[EQUAL] + count[DIFFERS] + count[READ_BACK]} compared"]
         if count[READ_BACK]:
@@ -201,26 +201,26 @@ def asked_of(
         and has a file or is the only one; if a file is named twice, is not given as TARGET=FILE or
         is not there.
     """
-    own: dict[str, Path] = {}
+    files_given: dict[str, Path] = {}
     for text in files:
         name, equals, file = text.partition("=")
         if not (equals and name and file):
             raise OptionError(
                 f"--file {text[:80]!r} is not TARGET=FILE", remedy="Write grbl=part.nc."
             )
-        if name in own:
+        if name in files_given:
             raise OptionError(f"--file names {name} twice", remedy="Compare one file at a time.")
-        own[name] = Path(file)
-        if not own[name].is_file():
+        files_given[name] = Path(file)
+        if not files_given[name].is_file():
             raise OptionError(
                 f"there is no file {file[:200]!r}", remedy="Give the file to compare."
             )
-    named = list(dict.fromkeys([*targets, *own]))
-    refused = [error for name in named if (error := _refusal(name, machine, options)) is not None]
-    for name in named:
-        if name in own or name not in target_names() or len(refused) == len(named):
+    names = list(dict.fromkeys([*targets, *files_given]))
+    refusals = [error for name in names if (error := _refusal(name, machine, options)) is not None]
+    for name in names:
+        if name in files_given or name not in target_names() or len(refusals) == len(names):
             check_target(name, machine, options)
-    return Asked(targets=tuple(named or kind_of(machine).targets), files=own, slower=slower)
+    return Asked(targets=tuple(names or kind_of(machine).targets), files=files_given, slower=slower)
 
 
 def _refusal(target: str, machine: Machine, options: Options) -> OptionError | None:
@@ -242,15 +242,17 @@ def equal_targets(
         If a given file cannot be read, or belongs to another job or machine; an ``OptionError`` if
         no target at all could be compared.
     """
-    found = []
+    rows = []
     with tempfile.TemporaryDirectory(prefix="threadline-equal-") as folder, _room_in(folder):
         for number, target in enumerate(question.targets):
             if progress is not None:
                 progress(f"comparing {target}", number / len(question.targets))
-            given = question.files.get(target)
-            found.append(_one(plan, options, target, Path(folder), given, slower=question.slower))
-    if all(one.verdict == "skipped" for one in found):
-        reasons = dict.fromkeys(f"{one.target}: {one.note}" for one in found)
+            file_given = question.files.get(target)
+            rows.append(
+                _target_row(plan, options, target, Path(folder), file_given, slower=question.slower)
+            )
+    if all(row.verdict == "skipped" for row in rows):
+        reasons = dict.fromkeys(f"{row.target}: {row.note}" for row in rows)
         raise OptionError(
             f"no target was compared: {'; '.join(reasons)}",
             remedy="Name a target that can be compared: "
@@ -258,7 +260,7 @@ def equal_targets(
             if any(map(_readable, kind_of(plan.machine).targets))
             else "Compare a job of a machine with axes.",
         )
-    return Equality(plan=plan, targets=tuple(found))
+    return Equality(plan=plan, targets=tuple(rows))
 
 
 @contextmanager
@@ -267,10 +269,10 @@ def _room_in(folder: str) -> Iterator[None]:
     try:
         yield
     except (OSError, InputError) as error:
-        of: BaseException | None = error
-        while of is not None and getattr(of, "errno", None) not in (ENOSPC, EDQUOT):
-            of = of.__cause__ or of.__context__
-        if of is None:
+        cause: BaseException | None = error
+        while cause is not None and getattr(cause, "errno", None) not in (ENOSPC, EDQUOT):
+            cause = cause.__cause__ or cause.__context__
+        if cause is None:
             raise
         raise OptionError(
             f"the files that are compared do not fit on the disk of {str(Path(folder).parent)!r}",
@@ -295,40 +297,42 @@ def _missing(target: str) -> str:
     return ""
 
 
-def _one(
+def _target_row(
     plan: Plan, options: Options, target: str, folder: Path, given: Path | None, *, slower: bool
 ) -> Equal:
     """Return the row of one target; a target that cannot be compared is skipped with its reason."""
     missing = _missing(target) if target in kind_of(plan.machine).targets else ""
-    why = "" if _readable(target) else _NO_READER
-    if not why and target in {"nc", "linuxcnc"}:
-        why = missing
-    fresh = folder / f"plan{_SUFFIX.get(target, '')}.{_ENDING.get(target, target)}"
+    skip_reason = "" if _readable(target) else _NO_READER
+    if not skip_reason and target in {"nc", "linuxcnc"}:
+        skip_reason = missing
+    written_file = folder / f"plan{_SUFFIX.get(target, '')}.{_ENDING.get(target, target)}"
     if given is not None and given.suffix:
-        fresh = folder / given.name
-    if not why:
+        written_file = folder / given.name
+    if not skip_reason:
         try:
             check_target(target, plan.machine, options)
-            write(plan, target, fresh, slower=slower)
+            write(plan, target, written_file, slower=slower)
         except (OptionError, PlanError) as error:
             if given is not None:
                 raise
-            why = f"not written: {' '.join(error.message.split())}"
-    if why:
-        own = str(given or "")
-        return Equal(target=target, verdict=SKIPPED, file=own, note=why, missing=missing)
-    other = ""
+            skip_reason = f"not written: {' '.join(error.message.split())}"
+    if skip_reason:
+        file_text = str(given or "")
+        return Equal(
+            target=target, verdict=SKIPPED, file=file_text, note=skip_reason, missing=missing
+        )
+    text_difference = ""
     if given is not None:
         check_version(target, given, plan)
     if target in _TAPES:
         from threadline.readback.equal_tapes import compare_tape
 
-        found = compare_tape(target, plan.stitched, given or fresh, fresh)
+        found = compare_tape(target, plan.stitched, given or written_file, written_file)
     else:
-        found = _COMPARED[target](target, plan, given or fresh)
-        other = "" if given is None else other_text(target, fresh, given)
-    notes = [text for text in (other, found.wrong, found.note) if text]
-    differs = found.beyond or bool(other)
+        found = _COMPARED[target](target, plan, given or written_file)
+        text_difference = "" if given is None else other_text(target, written_file, given)
+    notes = [text for text in (text_difference, found.wrong, found.note) if text]
+    differs = found.beyond or bool(text_difference)
     return Equal(
         target=target,
         verdict=DIFFERS if differs else READ_BACK if found.own else EQUAL,
@@ -395,10 +399,10 @@ def _place(value: float | None, unit: str) -> str:
     if value is None:
         return "-"
     factor, name = UNITS[unit]
-    shown = factor * value
-    if unit in {"m", "rad"} and abs(shown) >= _COARSE:
-        shown, name = 1e-3 * shown, {"m": "mm", "rad": "mrad"}[unit]
-    return f"{shown if abs(shown) >= _LEAST else 0.0:.3g} {name}"
+    scaled = factor * value
+    if unit in {"m", "rad"} and abs(scaled) >= _COARSE:
+        scaled, name = 1e-3 * scaled, {"m": "mm", "rad": "mrad"}[unit]
+    return f"{scaled if abs(scaled) >= _LEAST_SHOWN else 0.0:.3g} {name}"
 
 
 def _time(value: float | None) -> str:

@@ -118,17 +118,17 @@ def compare_firmware(target: str, plan: Plan, path: Path) -> Found:
     OptionError
         If the firmware's code is named and does not run.
     """
-    read = compare_read_back(target, plan, path)
+    read_back = compare_read_back(target, plan, path)
     axes = plan.motion.trajectory.axes
-    why = f"only Threadline reads it: the code of {target} is not run"
+    reason = f"only Threadline reads it: the code of {target} is not run"
     if target in ORACLES:
-        why = ORACLES[target].missing() or ORACLES[target].unfit(plan.machine, axes)
+        reason = ORACLES[target].missing() or ORACLES[target].unfit(plan.machine, axes)
     reference = _reference(target, plan, path)
-    if not why and reference is None:
-        why = f"the machine file has no [planner] of {BOARDS[target].planner or target}"
-    if why or reference is None:
-        timed = replace(read, note="; ".join(filter(None, (read.note, why))))
-        return timed if reference is None else _by_model(target, plan, path, timed)
+    if not reason and reference is None:
+        reason = f"the machine file has no [planner] of {BOARDS[target].planner or target}"
+    if reason or reference is None:
+        with_reason = replace(read_back, note="; ".join(filter(None, (read_back.note, reason))))
+        return with_reason if reference is None else _by_model(target, plan, path, with_reason)
     table = tick_table(plan.commands)
     counts = dict(zip(table.axes, table.counts_per_unit.tolist(), strict=True))
     shown = {
@@ -139,8 +139,8 @@ def compare_firmware(target: str, plan: Plan, path: Path) -> Found:
     steps = ORACLES[target].run(path, plan.machine, axes, shown)
     per_si = np.array([counts[axis] for axis in axes])
     start = reference(np.zeros(1))[0]
-    found = beside(steps, reference, per_si, start, radius_m(plan))
-    return _found(target, plan, path, read, found, reference)
+    differences = beside(steps, reference, per_si, start, radius_m(plan))
+    return _differences_found(target, plan, path, read_back, differences, reference)
 
 
 def _by_model(target: str, plan: Plan, path: Path, read: Found) -> Found:
@@ -150,9 +150,9 @@ def _by_model(target: str, plan: Plan, path: Path, read: Found) -> Found:
     """
     if plan.motion.path.interpolation != FIRMWARE:
         return read
-    own = replace(plan.machine, operator=None)
-    again = read_written(path, own, target)
-    run_s = as_run_times_s(target, plan.motion.programmed, again, plan.machine)
+    machine = replace(plan.machine, operator=None)
+    job = read_written(path, machine, target)
+    run_s = as_run_times_s(target, plan.motion.programmed, job, plan.machine)
     if run_s is None:
         return read
     limit_s = TIME_SHARE * plan.duration_s
@@ -166,15 +166,15 @@ def _reference(target: str, plan: Plan, path: Path) -> Trajectory | None:
         return None
     if plan.motion.path.interpolation == FIRMWARE:
         return plan.motion.trajectory
-    own = replace(plan.machine, operator=None)
-    again = read_written(path, own, target)
+    machine = replace(plan.machine, operator=None)
+    job = read_written(path, machine, target)
     if isinstance(planner, LinuxCncPlanner):
-        own = replace(own, planner=LINUXCNC_BLENDS)
-    return plan_trajectory(plan_path(programmed_path(again, own), own, FIRMWARE), own)
+        machine = replace(machine, planner=LINUXCNC_BLENDS)
+    return plan_trajectory(plan_path(programmed_path(job, machine), machine, FIRMWARE), machine)
 
 
-def _found(
-    target: str, plan: Plan, path: Path, read: Found, found: Beside, reference: Trajectory
+def _differences_found(
+    target: str, plan: Plan, path: Path, read: Found, differences: Beside, reference: Trajectory
 ) -> Found:
     oracle, of_plan = ORACLES[target], reference is plan.motion.trajectory
     table = tick_table(plan.commands)
@@ -183,35 +183,39 @@ def _found(
         axis: radii[axis] / scale
         for axis, scale in zip(table.axes, table.counts_per_unit.tolist(), strict=True)
     }
-    wrong = ""
+    fault = ""
     if read.place > PLACE_M:
-        wrong = f"it leaves the path of the plan by {1e6 * read.place:.3g} um at {read.at}"
-    compared = "with the plan" if of_plan else "with the model of its planner"
-    note = f"steps compared {compared}; ends of moves within {1e6 * read.place:.2g} um; "
-    note += "".join(f"{why}; " for why in (oracle.apart(plan.machine),) if why)
-    one = Found(
+        fault = f"it leaves the path of the plan by {1e6 * read.place:.3g} um at {read.at}"
+    reference_text = "with the plan" if of_plan else "with the model of its planner"
+    note = f"steps compared {reference_text}; ends of moves within {1e6 * read.place:.2g} um; "
+    note += "".join(
+        f"{difference_text}; "
+        for difference_text in (oracle.apart(plan.machine),)
+        if difference_text
+    )
+    by_steps = Found(
         reader=oracle.name,
-        place=found.off,
+        place=differences.off,
         place_limit=STEPS,
         unit="step",
-        axis=found.axis,
-        tool_m=found.off * sizes_m[found.axis] if found.axis else 0.0,
-        time_s=found.late_s,
+        axis=differences.axis,
+        tool_m=differences.off * sizes_m[differences.axis] if differences.axis else 0.0,
+        time_s=differences.late_s,
         time_limit_s=TIME_SHARE * reference.duration_s + oracle.slack_s,
-        at=f"{found.at_s:.4g} s" if found.axis else "",
+        at=f"{differences.at_s:.4g} s" if differences.axis else "",
         note=note + firmware_note(target, plan, path),
-        wrong=wrong,
-        curve=found.curve,
+        wrong=fault,
+        curve=differences.curve,
     )
     if oracle.same_instant:
-        return one
+        return by_steps
     return replace(
-        one,
-        place=found.path_m,
+        by_steps,
+        place=differences.path_m,
         place_limit=PLACE_M + STEPS * max(sizes_m.values()),
         unit="m",
         axis="",
-        tool_m=found.path_m,
-        at=f"{found.path_at_s:.4g} s",
-        curve=found.path_curve,
+        tool_m=differences.path_m,
+        at=f"{differences.path_at_s:.4g} s",
+        curve=differences.path_curve,
     )

@@ -26,7 +26,7 @@ _FAULTS = (
     TypeError, ValueError, csv.Error, struct.error, zipfile.BadZipFile, zlib.error,
 )  # fmt: skip
 """Errors that the readers of the standard library and numpy raise at changed or truncated files."""
-_TIME = re.compile(r"\d{1,30}(/\d{1,30}|(\.\d{1,30})?(e[-+]?\d{1,2})?)")
+_TIME_TEXT = re.compile(r"\d{1,30}(/\d{1,30}|(\.\d{1,30})?(e[-+]?\d{1,2})?)")
 UNITS = {
     "count": (1.0, "count"), "step": (1.0, "step"), "m": (1e6, "um"), "rad": (1e6, "urad"),
 }  # fmt: skip
@@ -100,9 +100,9 @@ class Found:
     @property
     def beyond(self) -> bool:
         """Whether a difference is beyond its limit, or a difference has no limit."""
-        over = self.place > self.place_limit * (1.0 + 1e-9)
+        too_far = self.place > self.place_limit * (1.0 + 1e-9)
         late = abs(self.time_s or 0.0) > (self.time_limit_s or 0.0) * (1.0 + 1e-9)
-        return over or (self.time_limit_s is not None and late) or bool(self.wrong)
+        return too_far or (self.time_limit_s is not None and late) or bool(self.wrong)
 
 
 def no_file_of(
@@ -151,7 +151,7 @@ def whole_fraction(text: object) -> Fraction:
     """
     if isinstance(text, bool) or not isinstance(text, int | float | str):
         raise ValueError(f"{str(text)[:40]!r} is no time")
-    if _TIME.fullmatch(str(text)) is None:
+    if _TIME_TEXT.fullmatch(str(text)) is None:
         raise ValueError(f"{str(text)[:40]!r} is no time")
     return Fraction(str(text))
 
@@ -176,8 +176,8 @@ def thinned(*columns: FloatArray, most: int = 4000) -> list[FloatArray]:
         return list(columns)
     size = np.abs(columns[-1])
     edges = np.linspace(0, count, most + 1).astype(np.int64)
-    kept = np.array(
+    largest_rows = np.array(
         [begin + int(np.argmax(size[begin:end])) for begin, end in pairwise(edges)],
         dtype=np.int64,
     )  # fmt: skip
-    return [column[kept] for column in columns]
+    return [column[largest_rows] for column in columns]

@@ -61,10 +61,12 @@ def compare_read_back(target: str, plan: Plan, path: Path) -> Found:
     JobError
         If the program cannot be read.
     """
-    again = read_written(path, replace(plan.machine, operator=None), target)
-    found = followed(plan, _of_job(plan, again))
-    one = of_path(f"Threadline, as {target}", plan, found, firmware_note(target, plan, path))
-    return replace(one, own=True)
+    job = read_written(path, replace(plan.machine, operator=None), target)
+    found = followed(plan, _of_job(plan, job))
+    differences = of_path(
+        f"Threadline, as {target}", plan, found, firmware_note(target, plan, path)
+    )
+    return replace(differences, own=True)
 
 
 def of_path(reader: str, plan: Plan, found: Followed, note: str) -> Found:
@@ -93,9 +95,9 @@ def missing_rs274() -> str:
 def firmware_note(target: str, plan: Plan, path: Path) -> str:
     """Return the plan's time, and the firmware's own time if its planner is known, in words."""
     planned_s = f"planned {plan.duration_s:.4g} s"
-    own = replace(plan.machine, operator=None)
-    again = read_written(path, own, target)
-    run_s = as_run_times_s(target, plan.motion.programmed, again, plan.machine)
+    machine = replace(plan.machine, operator=None)
+    job = read_written(path, machine, target)
+    run_s = as_run_times_s(target, plan.motion.programmed, job, plan.machine)
     if run_s is None:
         kind = BOARDS[target].planner or target
         return f"{planned_s}; the machine file has no [planner] of {kind}, so its time is unknown"
@@ -121,8 +123,8 @@ def _by_rs274(plan: Plan, path: Path, *, timed: bool) -> Points:
     output = _interpreted(path)
     times_s = _BlockTimes(path)
     scale, rate, now_s = 1.0, 0.0, 0.0
-    at = [0.0] * len(_LETTERS)
-    ends, clock, where = [], [], []
+    position = [0.0] * len(_LETTERS)
+    ends, clock_s, where = [], [], []
     for number, (block, name, argument) in enumerate(_CALL.findall(output), 1):
         if name == "USE_LENGTH_UNITS":
             scale = 25.4 if "INCHES" in argument else 1.0
@@ -137,17 +139,17 @@ def _by_rs274(plan: Plan, path: Path, *, timed: bool) -> Points:
                 remedy="Give a file that compile wrote.",
             )
         elif name in {"STRAIGHT_FEED", "STRAIGHT_TRAVERSE"}:
-            before, numbers = at, [float(text) for text in argument.split(",")]
-            at = [n * (scale if k < 3 else 1.0) for k, n in enumerate(numbers)]
-            step = [a - b for a, b in zip(at, before, strict=True)]
+            position_before, numbers = position, [float(text) for text in argument.split(",")]
+            position = [value * (scale if k < 3 else 1.0) for k, value in enumerate(numbers)]
+            step = [a - b for a, b in zip(position, position_before, strict=True)]
             length = math.hypot(*step[:3]) or math.hypot(*step[3:])
             stated_s = times_s.of(block)
             if stated_s is not None and length < _COARSE:
                 now_s += stated_s
             elif length and rate:
                 now_s += 60.0 * length / rate
-            ends.append([at[k] for k in columns])
-            clock.append(now_s)
+            ends.append([position[k] for k in columns])
+            clock_s.append(now_s)
             where.append(f"N{block}" if block.strip(".") else f"call {number} of {_RS274}")
     if "PROGRAM_END()" not in output:
         last = (output.strip().splitlines() or ["nothing"])[-1]
@@ -160,7 +162,7 @@ def _by_rs274(plan: Plan, path: Path, *, timed: bool) -> Points:
     to_si = np.array([1e-3 if kind == "linear" else math.pi / 180.0 for kind in kinds])
     return Points(
         ends=np.array(ends).reshape(-1, len(axes)) * to_si * radius_m(plan),
-        end_s=np.array(clock) if timed else None,
+        end_s=np.array(clock_s) if timed else None,
         where=where,
     )
 
@@ -176,8 +178,8 @@ class _BlockTimes:
     def of(self, number: str) -> float | None:
         """Return the time of the block N ``number``; None if it has none."""
         if number != self._last[0]:
-            found = (float(f) for n, f in self._blocks if n == number)
-            rate = next(found, 0.0)
+            rates = (float(f) for n, f in self._blocks if n == number)
+            rate = next(rates, 0.0)
             self._last = (number, 60.0 / rate if rate else None)
         return self._last[1]
 
@@ -245,10 +247,10 @@ class Followed:
 def radius_m(plan: Plan) -> FloatArray:
     """Return the (axes,) radius of each axis of a plan: 1 for a linear one, m for a rotary one."""
     axes = plan.motion.trajectory.axes
-    found: FloatArray = plan.machine.radius_m[
+    radii: FloatArray = plan.machine.radius_m[
         [plan.machine.axis_names.index(axis) for axis in axes]
     ]
-    return found
+    return radii
 
 
 def _sampled(plan: Plan) -> tuple[FloatArray, FloatArray]:
@@ -257,18 +259,18 @@ def _sampled(plan: Plan) -> tuple[FloatArray, FloatArray]:
     times: list[FloatArray] = []
     points: list[FloatArray] = []
     for block in plan.motion.trajectory:
-        looked = (np.arange(9) / 8.0)[None] * block.duration_s[:, None] + block.start_s[:, None]
+        sample_s = (np.arange(9) / 8.0)[None] * block.duration_s[:, None] + block.start_s[:, None]
         # The ends of a piece belong to its neighbour; inside it they are safe.
-        looked[:, -1] -= 1e-9 * block.duration_s
-        bent = np.linalg.norm(block.evaluate(looked.ravel(), 2) * radii, axis=1)
-        most = bent.reshape(looked.shape).max(axis=1)
-        parts = np.ceil(block.duration_s * np.sqrt(1.2 * most / (8.0 * _SAMPLED_M)))
+        sample_s[:, -1] -= 1e-9 * block.duration_s
+        acceleration = np.linalg.norm(block.evaluate(sample_s.ravel(), 2) * radii, axis=1)
+        peak = acceleration.reshape(sample_s.shape).max(axis=1)
+        parts = np.ceil(block.duration_s * np.sqrt(1.2 * peak / (8.0 * _SAMPLED_M)))
         parts = np.maximum(parts, 1.0).astype(np.int64)
-        first = np.repeat(np.cumsum(parts) - parts, parts)
-        share = (np.arange(int(parts.sum())) - first) / np.repeat(parts, parts)
-        at = np.repeat(block.start_s, parts) + share * np.repeat(block.duration_s, parts)
-        times.append(at)
-        points.append(block.evaluate(at) * radii)
+        piece_begin = np.repeat(np.cumsum(parts) - parts, parts)
+        share = (np.arange(int(parts.sum())) - piece_begin) / np.repeat(parts, parts)
+        instants = np.repeat(block.start_s, parts) + share * np.repeat(block.duration_s, parts)
+        times.append(instants)
+        points.append(block.evaluate(instants) * radii)
         last = np.array([block.end_s])
         end = block.evaluate(last) * radii
     return np.concatenate([*times, last]), np.concatenate([*points, end])
@@ -288,30 +290,32 @@ def followed(plan: Plan, found: Points) -> Followed:
     """Follow the plan from end to end of a program's moves, in order."""
     times, points = _sampled(plan)
     place, clock = _Worst(), _Worst()
-    before, rest = points[0], 0
+    end_before, last_point = points[0], 0
     at_s, offs, lates = list[float](), list[float](), list[float]()
     for k, match in enumerate(_matches(times, points, found.ends)):
         end = found.ends[k]
         # The plan's own points between two ends lie beside the straight move.
         passed = points[match.first : match.last + 1]
-        off = float(_from_segment(passed, before, end).max()) if len(passed) else 0.0
-        off = max(match.off_m, off)
-        place.take(off, found.where[k])
-        late = 0.0
+        off_m = float(_from_segment(passed, end_before, end).max()) if len(passed) else 0.0
+        off_m = max(match.off_m, off_m)
+        place.take(off_m, found.where[k])
+        late_s = 0.0
         if found.end_s is not None:
             end_s = float(found.end_s[k])
-            late = end_s - min(max(end_s, match.from_s), match.to_s)
-            clock.take(late, found.where[k])
+            late_s = end_s - min(max(end_s, match.from_s), match.to_s)
+            clock.take(late_s, found.where[k])
         if not k:  # a move counts from its begin: the first one from the plan's begin
-            at_s, offs = [float(times[0])], [off]
+            at_s, offs = [float(times[0])], [off_m]
             lates = [0.0]
-        lates.append(late)
+        lates.append(late_s)
         at_s.append(match.from_s)
-        offs.append(off)
-        before, rest = end, match.last
-    left = float(np.linalg.norm(points[min(rest + 1, len(points) - 1) :] - before, axis=1).max())
-    if left > place.value:
-        place.take(left, "its end")
+        offs.append(off_m)
+        end_before, last_point = end, match.last
+    left_m = float(
+        np.linalg.norm(points[min(last_point + 1, len(points) - 1) :] - end_before, axis=1).max()
+    )
+    if left_m > place.value:
+        place.take(left_m, "its end")
     return Followed(
         place_m=place.value,
         time_s=None if found.end_s is None else clock.value,
@@ -338,50 +342,58 @@ class _Match:
 def _matches(times: FloatArray, points: FloatArray, ends: FloatArray) -> Iterator[_Match]:
     """Yield where the plan first passes each end, onwards from the place of the end before."""
     steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
-    way = np.concatenate([[0.0], np.cumsum(steps)])
-    at = 0
+    path_m = np.concatenate([[0.0], np.cumsum(steps)])
+    index = 0
     for end in ends:
-        reach = 2.0 * float(np.linalg.norm(end - points[at])) + _SLACK_M
-        stop = max(int(np.searchsorted(way, way[at] + reach, side="right")), at + 2)
+        reach = 2.0 * float(np.linalg.norm(end - points[index])) + _SLACK_M
+        stop = max(int(np.searchsorted(path_m, path_m[index] + reach, side="right")), index + 2)
         stop = min(stop, len(points))
-        window = points[at:stop]
+        window = points[index:stop]
         off = _from_segments(end, window)
-        inside = off <= PLACE_M
+        is_near = off <= PLACE_M
         enters, leaves = 0, len(off)
-        if inside.any():
-            enters = int(np.argmax(inside))
-            leaves = enters + int(np.argmin(np.append(inside[enters:], False)))
+        if is_near.any():
+            enters = int(np.argmax(is_near))
+            leaves = enters + int(np.argmin(np.append(is_near[enters:], False)))
         # Where the path turns back, the way there and the way back are equally near.
-        near = off <= off[enters:leaves].min() + 2.0 * _SAMPLED_M
-        low = enters + int(np.argmax(near[enters:leaves]))
-        high = low + int(np.argmin(np.append(near[low:leaves], False))) - 1
+        is_nearest = off <= off[enters:leaves].min() + 2.0 * _SAMPLED_M
+        low = enters + int(np.argmax(is_nearest[enters:leaves]))
+        high = low + int(np.argmin(np.append(is_nearest[low:leaves], False))) - 1
         best = low + int(np.argmin(off[low : high + 1]))
-        span = times[at : stop + 1]
-        behind = min(high + 1, len(span) - 1)
-        yield _Match(at + 1, at + low, float(off[best]), float(span[low]), float(span[behind]))
-        at += low
+        window_s = times[index : stop + 1]
+        next_point = min(high + 1, len(window_s) - 1)
+        yield _Match(
+            index + 1,
+            index + low,
+            float(off[best]),
+            float(window_s[low]),
+            float(window_s[next_point]),
+        )
+        index += low
 
 
 def _from_segments(point: FloatArray, chain: FloatArray) -> FloatArray:
     """Return the distances of a point from the segments of a chain, or from its single point."""
-    off: FloatArray
+    distances_m: FloatArray
     if len(chain) < 2:
-        off = np.linalg.norm(chain - point, axis=1)
-        return off
-    begin, way = chain[:-1], np.diff(chain, axis=0)
-    squared = (way**2).sum(axis=1)
-    along = ((point - begin) * way).sum(axis=1)
-    share = np.clip(np.divide(along, squared, out=np.zeros_like(along), where=squared > 0), 0, 1)
-    off = np.linalg.norm(begin + share[:, None] * way - point, axis=1)
-    return off
+        distances_m = np.linalg.norm(chain - point, axis=1)
+        return distances_m
+    begin, steps = chain[:-1], np.diff(chain, axis=0)
+    length2 = (steps**2).sum(axis=1)
+    projection = ((point - begin) * steps).sum(axis=1)
+    share = np.clip(
+        np.divide(projection, length2, out=np.zeros_like(projection), where=length2 > 0), 0, 1
+    )
+    distances_m = np.linalg.norm(begin + share[:, None] * steps - point, axis=1)
+    return distances_m
 
 
 def _from_segment(points: FloatArray, begin: FloatArray, end: FloatArray) -> FloatArray:
     """Return the (n,) distances of points from one segment."""
-    way = end - begin
-    squared = float(way @ way)
+    step = end - begin
+    length2 = float(step @ step)
     share = (
-        np.clip((points - begin) @ way / squared, 0.0, 1.0) if squared else np.zeros(len(points))
+        np.clip((points - begin) @ step / length2, 0.0, 1.0) if length2 else np.zeros(len(points))
     )
-    off: FloatArray = np.linalg.norm(begin + share[:, None] * way - points, axis=1)
-    return off
+    distances_m: FloatArray = np.linalg.norm(begin + share[:, None] * step - points, axis=1)
+    return distances_m

@@ -34,7 +34,7 @@ SCANS = 1
 """Scans by which a switching of the program may differ from the plan's."""
 _MOST_HOME = 60_000  # scans that homing may take
 _BUTTONS = {"start": "start", "acknowledge": "acknowledge", "home": "home"}
-_HELD = ("light-grid", "enable")
+_HELD_CONTACTS = ("light-grid", "enable")
 _DEEPEST = 8  # blocks in one another; a sequence has two
 
 
@@ -52,24 +52,24 @@ def compare_schedule(target: str, scheduled: Scheduled, path: Path) -> Found:
         If the file holds no such program, or another version of Threadline wrote it, or it was
         written for another job or machine.
     """
-    one = scheduled.one_cycle
+    cycle = scheduled.one_cycle
     with refusing(f"program of target {target}", target, path):
-        read = _READERS[target](path)
-        controller = Controller(read.units, read.addresses)
-        _check_addresses(controller, one.machine)
-    period_us = round(1e6 * float(one.commands.clock.period_s))
-    played = _played(one, period_us)
+        program = _READERS[target](path)
+        controller = Controller(program.units, program.addresses)
+        _check_addresses(controller, cycle.machine)
+    period_us = round(1e6 * float(cycle.commands.clock.period_s))
+    played = _played(cycle, period_us)
     notes = []
-    if read.interval_us not in (None, period_us):
-        interval_ms = (read.interval_us or 0) / 1e3
+    if program.interval_us not in (None, period_us):
+        interval_ms = (program.interval_us or 0) / 1e3
         notes.append(f"its task runs every {interval_ms:g} ms, the plan has {period_us / 1e3:g} ms")
     try:
-        found = _run(controller, one, played, read.interval_us or period_us)
+        switchings = _run(controller, cycle, played, program.interval_us or period_us)
     except ScanError as error:
-        found, ended = np.zeros((0, len(one.commands.outputs)), dtype=np.int64), str(error)
+        switchings, fault = np.zeros((0, len(cycle.commands.outputs)), dtype=np.int64), str(error)
     else:
-        ended = ""
-    return _compared(one, played, found, "; ".join([*notes, *([ended] if ended else [])]))
+        fault = ""
+    return _compared(cycle, played, switchings, "; ".join([*notes, *([fault] if fault else [])]))
 
 
 def _check_addresses(controller: Controller, machine: Machine) -> None:
@@ -88,9 +88,9 @@ class _Played:
     contacts: Mapping[str, IntArray]
 
 
-def _played(one: Scheduled, period_us: int) -> _Played:
+def _played(cycle: Scheduled, period_us: int) -> _Played:
     """Play the schedule on the nominal machine, and sample it once per scan."""
-    machine, commands = one.machine, one.commands
+    machine, commands = cycle.machine, cycle.commands
     recording = simulate_switching(commands, machine, SwitchOptions(after_s=0.0))
     blocks = list(recording.blocks)
     columns = {
@@ -99,22 +99,24 @@ def _played(one: Scheduled, period_us: int) -> _Played:
     }
     ends = [event for block in blocks for event in block.events if event.kind == "wait"]
     samples = len(columns[commands.outputs[0]])
-    at = np.arange(0, samples * 1000, period_us) // 1000
-    outputs = np.column_stack([columns[name][at] > 0.5 for name in commands.outputs])
-    contacts = {name: (columns[name][at] > 0.5).astype(np.int64) for name in machine.contacts}
+    sample_index = np.arange(0, samples * 1000, period_us) // 1000
+    outputs = np.column_stack([columns[name][sample_index] > 0.5 for name in commands.outputs])
+    contacts = {
+        name: (columns[name][sample_index] > 0.5).astype(np.int64) for name in machine.contacts
+    }
     scans = [int(event.tick) * 1000 // period_us for event in ends]
     for name, contact in machine.contacts.items():
-        own = [
+        waits_for_it = [
             (scan, int(event.value)) for scan, event in zip(scans, ends, strict=True)
             if event.name == name
         ]  # fmt: skip
-        if contact.kind in _HELD:
+        if contact.kind in _HELD_CONTACTS:
             contacts[name][:] = 1
         elif contact.kind != "contact":
             contacts[name][:] = 0
         elif contact.cylinder is None:
-            contacts[name] = _free(
-                own, outputs[:, _vacuums(machine, commands.outputs)].astype(np.int64)
+            contacts[name] = _uncylindered_states(
+                waits_for_it, outputs[:, _vacuums(machine, commands.outputs)].astype(np.int64)
             )
     return _Played(outputs.astype(np.int64), contacts)
 
@@ -123,7 +125,7 @@ def _vacuums(machine: Machine, outputs: tuple[str, ...]) -> list[int]:
     return [k for k, name in enumerate(outputs) if machine.outputs[name].kind == "vacuum"]
 
 
-def _free(waits: list[tuple[int, int]], vacuums: IntArray) -> IntArray:
+def _uncylindered_states(waits: list[tuple[int, int]], vacuums: IntArray) -> IntArray:
     """Return the states of a contact that no cylinder closes: it comes when the plan waits for it.
 
     After a wait it stays until a vacuum is switched off; without one, until halfway to the next
@@ -132,84 +134,86 @@ def _free(waits: list[tuple[int, int]], vacuums: IntArray) -> IntArray:
     count = len(vacuums)
     if not waits:
         return np.ones(count, dtype=np.int64)
-    off = np.flatnonzero((np.diff(vacuums, axis=0) < 0).any(axis=1)) + 1
+    switched_off = np.flatnonzero((np.diff(vacuums, axis=0) < 0).any(axis=1)) + 1
     state = np.full(count, 1 - waits[0][1], dtype=np.int64)
     for k, (scan, value) in enumerate(waits):
         state[scan:] = value
         follows = k + 1 < len(waits)
-        end, then = waits[k + 1] if follows else (count, value)
-        released = off[(off > scan) & (off < end)]
+        end, next_value = waits[k + 1] if follows else (count, value)
+        released = switched_off[(switched_off > scan) & (switched_off < end)]
         if len(released):
-            state[released[0] :] = 1 - then
+            state[released[0] :] = 1 - next_value
         elif follows:
-            state[(scan + end) // 2 :] = 1 - then
+            state[(scan + end) // 2 :] = 1 - next_value
     return state
 
 
-def _run(controller: Controller, one: Scheduled, played: _Played, scan_us: int) -> IntArray:
+def _run(controller: Controller, cycle: Scheduled, played: _Played, scan_us: int) -> IntArray:
     """Bring the program home, start a cycle, and return its (n, outputs) switchings.
 
     The first row is of the scan in which the start button is down.
     """
-    machine = one.machine
+    machine = cycle.machine
     button = {
         kind: next(name for name, c in machine.contacts.items() if c.kind == kind)
         for kind in _BUTTONS
     }
     names = {name: controller.addresses[c.address] for name, c in machine.contacts.items()}
-    where = [machine.outputs[name].address for name in one.commands.outputs]
+    output_addresses = [machine.outputs[name].address for name in cycle.commands.outputs]
     now_us = 0
 
     def scan(contacts: Mapping[str, int]) -> list[bool]:
         nonlocal now_us
         now_us += scan_us
         state = controller.scan({names[n]: bool(v) for n, v in contacts.items()}, now_us)
-        return [state(address) for address in where]
+        return [state(address) for address in output_addresses]
 
-    rest = {name: int(column[0]) for name, column in played.contacts.items()}
+    contacts_at_rest = {name: int(column[0]) for name, column in played.contacts.items()}
     for pressed in ((), ("acknowledge",), ()):
-        scan({**rest, **{button[kind]: 1 for kind in pressed}})
-    on = scan({**rest, button["home"]: 1})
-    if not any(on):
+        scan({**contacts_at_rest, **{button[kind]: 1 for kind in pressed}})
+    outputs_on = scan({**contacts_at_rest, button["home"]: 1})
+    if not any(outputs_on):
         raise ScanError("the program does not begin its way home")
     for _ in range(_MOST_HOME):
-        if not any(on):
+        if not any(outputs_on):
             break
-        on = scan(rest)
+        outputs_on = scan(contacts_at_rest)
     else:
         raise ScanError("the program never comes home")
-    scan(rest)
+    scan(contacts_at_rest)
     rows = []
     for k in range(len(played.outputs)):
-        now = {name: int(column[k]) for name, column in played.contacts.items()}
-        rows.append(scan({**now, button["start"]: int(k == 0)}))
+        contacts_now = {name: int(column[k]) for name, column in played.contacts.items()}
+        rows.append(scan({**contacts_now, button["start"]: int(k == 0)}))
     return np.array(rows, dtype=np.int64)
 
 
-def _compared(one: Scheduled, played: _Played, found: IntArray, note: str) -> Found:
-    period_s = float(one.commands.clock.period_s)
-    wanted, notes = played.outputs, [note] if note else []
+def _compared(cycle: Scheduled, played: _Played, found: IntArray, note: str) -> Found:
+    period_s = float(cycle.commands.clock.period_s)
+    planned, notes = played.outputs, [note] if note else []
     if not len(found):
-        found = np.zeros_like(wanted)
-    times, apart, names = [], [], []
-    for k, name in enumerate(one.commands.outputs):
-        own, other = (_changes(rows[:, k]) for rows in (wanted, found))
-        if len(own) != len(other) and not note:
-            notes.append(f"{name}: {len(other)} switchings, the plan has {len(own)}")
-        count = min(len(own), len(other))
-        times += own[:count].tolist()
-        apart += (other[:count] - own[:count]).tolist()
-        names += [f"{name} at scan {scan}" for scan in own[:count].tolist()]
+        found = np.zeros_like(planned)
+    times, scans_apart, names = [], [], []
+    for k, name in enumerate(cycle.commands.outputs):
+        planned_scans, found_scans = (_changes(rows[:, k]) for rows in (planned, found))
+        if len(planned_scans) != len(found_scans) and not note:
+            notes.append(
+                f"{name}: {len(found_scans)} switchings, the plan has {len(planned_scans)}"
+            )
+        count = min(len(planned_scans), len(found_scans))
+        times += planned_scans[:count].tolist()
+        scans_apart += (found_scans[:count] - planned_scans[:count]).tolist()
+        names += [f"{name} at scan {scan}" for scan in planned_scans[:count].tolist()]
     order = np.argsort(times, kind="stable")
-    scans = np.array(apart, dtype=np.int64)[order]
+    scans = np.array(scans_apart, dtype=np.int64)[order]
     names = [names[k] for k in order.tolist()]
     worst = int(np.argmax(np.abs(scans))) if len(scans) else 0
-    axis, off_m, limit_m = _stroke(one, wanted, found, period_s)
+    axis, off_m, limit_m = _stroke(cycle, planned, found, period_s)
     return Found(
         reader="a PLC of IEC 61131-3, scan by scan",
         place=off_m,
         place_limit=limit_m,
-        unit="m" if one.machine.cylinders[axis].kind == "linear" else "rad",
+        unit="m" if cycle.machine.cylinders[axis].kind == "linear" else "rad",
         axis=axis,
         time_s=period_s * float(abs(scans[worst])) if len(scans) else 0.0,
         time_limit_s=SCANS * period_s,
@@ -227,7 +231,7 @@ def _changes(column: IntArray) -> IntArray:
 
 
 def _stroke(
-    one: Scheduled, wanted: IntArray, found: IntArray, period_s: float
+    cycle: Scheduled, planned: IntArray, found: IntArray, period_s: float
 ) -> tuple[str, float, float]:
     """Return the cylinder whose stroke differs most by its limit, the difference, and the limit.
 
@@ -235,18 +239,19 @@ def _stroke(
     open.
     """
     worst = ("", 0.0, 0.0)
-    column = {name: k for k, name in enumerate(one.commands.outputs)}
-    for axis, cylinder in one.machine.cylinders.items():
-        level, most = np.zeros(len(wanted)), 0.0
-        for way, sign in ((cylinder.forward, 1.0), (cylinder.back, -1.0)):
-            for flow, size in way.flows.items():
-                on = [
-                    rows[:, column[way.valve]] * rows[:, column[flow]] for rows in (found, wanted)
+    column = {name: k for k, name in enumerate(cycle.commands.outputs)}
+    for axis, cylinder in cycle.machine.cylinders.items():
+        level, largest_flow = np.zeros(len(planned)), 0.0
+        for direction, sign in ((cylinder.forward, 1.0), (cylinder.back, -1.0)):
+            for flow, size in direction.flows.items():
+                flow_on = [
+                    rows[:, column[direction.valve]] * rows[:, column[flow]]
+                    for rows in (found, planned)
                 ]
-                level += sign * size.si * (on[0] - on[1])
-            most = max(most, sum(size.si for size in way.flows.values()))
+                level += sign * size.si * (flow_on[0] - flow_on[1])
+            largest_flow = max(largest_flow, sum(size.si for size in direction.flows.values()))
         off = float(np.abs(np.cumsum(level)).max(initial=0.0)) * cylinder.speed.si * period_s
-        limit = SCANS * most * cylinder.speed.si * period_s
+        limit = SCANS * largest_flow * cylinder.speed.si * period_s
         if not worst[0] or off * worst[2] > worst[1] * limit:
             worst = (axis, off, limit)
     return worst
@@ -296,7 +301,7 @@ class Instance:
         self._body: Statement = unit.body
         self.values: Variables = {}
         for name, declared in unit.declared.items():
-            self.values[name] = _first(declared, units, (*around, unit))
+            self.values[name] = _first_value(declared, units, (*around, unit))
 
     def call(self, pins: Variables, now_us: int) -> None:
         """Run it once, with new values of its inputs."""
@@ -304,15 +309,17 @@ class Instance:
         self._body(self.values, now_us)
 
 
-def _first(declared: Declared, units: Mapping[str, Unit], around: tuple[Unit, ...]) -> object:
+def _first_value(
+    declared: Declared, units: Mapping[str, Unit], outer_units: tuple[Unit, ...]
+) -> object:
     if declared.type == TIMER:
         return OnDelay()
     if declared.type in units:
-        if units[declared.type] in around:
+        if units[declared.type] in outer_units:
             raise ScanError(f"{declared.name} is of a block that has it inside itself")
-        if len(around) > _DEEPEST:
+        if len(outer_units) > _DEEPEST:
             raise ScanError(f"blocks stand more than {_DEEPEST} deep in one another")
-        return Instance(units[declared.type], units, around)
+        return Instance(units[declared.type], units, outer_units)
     if declared.type not in FIRST_VALUES:
         raise ScanError(f"{declared.name} is of the unknown type {declared.type.upper()}")
     return FIRST_VALUES[declared.type] if declared.initial is None else declared.initial
@@ -341,9 +348,11 @@ class Controller:
         by_name = {unit.name: unit for unit in units}
         if len(by_name) != len(units):
             raise ScanError("two of its units have one name")
-        own = {name: one.address for name, one in programs[0].declared.items()}
-        located = {**own, **(addresses or {})}
-        self.addresses = {at: name for name, at in located.items() if at}
+        declared_addresses = {
+            name: variable.address for name, variable in programs[0].declared.items()
+        }
+        located = {**declared_addresses, **(addresses or {})}
+        self.addresses = {address: name for name, address in located.items() if address}
         self._instance = Instance(programs[0], by_name)
 
     def scan(self, inputs: Mapping[str, bool], now_us: int) -> Callable[[str], bool]:

@@ -71,16 +71,16 @@ def compare_steps(stitched: Stitched, path: Path) -> Found:
     commands = stitched.commands
     with refusing("set of step tables", "steps", path):
         meta = _manifest(path)
-        for key, what in (("job_sha256", "job"), ("machine_sha256", "machine file")):
-            wanted = getattr(commands, key)
-            if meta[key] != wanted:
-                raise of_another(what, meta[key], wanted, path)
+        for key, kind in (("job_sha256", "job"), ("machine_sha256", "machine file")):
+            planned = getattr(commands, key)
+            if meta[key] != planned:
+                raise of_another(kind, meta[key], planned, path)
         if meta["axes"] != list(commands.axes):
             raise ValueError(
                 f"it has the axes {str(meta['axes'])[:40]}, the plan {list(commands.axes)}"
             )
         read = _read(path, meta)
-        wrong = _heads(stitched, read)
+        wrong = _manifest_faults(stitched, read)
     return _compared(stitched, read, wrong)
 
 
@@ -95,59 +95,61 @@ def _manifest(path: Path) -> Mapping[str, Any]:
 
 
 def _read(path: Path, meta: Mapping[str, Any]) -> _Read:
-    wrong = list[str]()
+    faults = list[str]()
     contents = {}
     for name, digest in meta["files"].items():
         if Path(name).name != name:
             raise ValueError(f"it names {name[:60]!r}, which is not beside it")
-        content = _beside(path, name)
+        content = _file_beside(path, name)
         if hashlib.sha256(content).hexdigest() != digest:
-            wrong.append(f"{name} is not the file of the manifest: its SHA-256 is another one")
+            faults.append(f"{name} is not the file of the manifest: its SHA-256 is another one")
         contents[name.partition(".")[2] if name.startswith(path.stem) else name] = content
     kinds = {}
     for kind in ("tables.bin", "tables.csv", "stitches.bin", "stitches.csv"):
-        kinds[kind] = next((own for name, own in contents.items() if name.endswith(kind)), b"")
+        kinds[kind] = next(
+            (file_content for name, file_content in contents.items() if name.endswith(kind)), b""
+        )
         if not kinds[kind]:
             raise ValueError(f"it names no NAME.{kind} with anything in it")
     axes = list(meta["axes"])
     units, tables = _tables(kinds["tables.bin"])
     rows = _stitches(kinds["stitches.bin"], len(axes))
-    wrong += _texts(kinds, units, tables, rows)
+    faults += _text_faults(kinds, units, tables, rows)
     columns = {name: rows[name].astype(np.int64) for name in rows.dtype.names or ()}
     return _Read(
-        meta=meta, units=units, tables=tables, wrong=wrong,
+        meta=meta, units=units, tables=tables, wrong=faults,
         table=np.column_stack([columns[f"table{k}"] for k in range(len(axes))]),
         sign=np.column_stack([columns[f"sign{k}"] for k in range(len(axes))]),
         **{name: columns[name] for name in ("begin", "window", "start", "needle", "operation")},
     )  # fmt: skip
 
 
-def _beside(path: Path, name: str) -> bytes:
-    beside = path.with_name(name)
-    if not beside.is_file():
+def _file_beside(path: Path, name: str) -> bytes:
+    file = path.with_name(name)
+    if not file.is_file():
         raise ValueError(f"{name} is missing beside it")
-    if beside.stat().st_size > MOST_BYTES:
+    if file.stat().st_size > MOST_BYTES:
         raise ValueError(f"{name} is larger than 1 GB")
-    return beside.read_bytes()
+    return file.read_bytes()
 
 
 def _tables(content: bytes) -> tuple[IntArray, list[IntArray]]:
     if content[:8] != b"TLSTEPT1":
         raise ValueError("its tables do not begin with TLSTEPT1")
-    (count,), at = struct.unpack_from("<I", content, 8), 12
+    (count,), offset = struct.unpack_from("<I", content, 8), 12
     units, tables = [], []
     for number in range(count):
-        unit, steps = struct.unpack_from("<II", content, at)
-        at += 8
-        if at + 4 * steps > len(content):
+        unit, steps = struct.unpack_from("<II", content, offset)
+        offset += 8
+        if offset + 4 * steps > len(content):
             raise ValueError(f"its tables end in the middle of table {number}: the file was cut")
-        tables.append(np.frombuffer(content, "<u4", steps, at).astype(np.int64))
+        tables.append(np.frombuffer(content, "<u4", steps, offset).astype(np.int64))
         units.append(unit)
-        at += 4 * steps
+        offset += 4 * steps
     if not tables:
         raise ValueError("it has no tables")
-    if at != len(content):
-        raise ValueError(f"its tables have {len(content) - at} bytes after the last table")
+    if offset != len(content):
+        raise ValueError(f"its tables have {len(content) - offset} bytes after the last table")
     return np.array(units, dtype=np.int64), tables
 
 
@@ -164,20 +166,20 @@ def _stitches(content: bytes, axes: int) -> np.ndarray[Any, np.dtype[np.void]]:
     return np.frombuffer(content, kind, count, 12)
 
 
-def _texts(
+def _text_faults(
     kinds: Mapping[str, bytes],
     units: IntArray,
     tables: list[IntArray],
     rows: np.ndarray[Any, np.dtype[np.void]],
 ) -> list[str]:
     """Return how the texts differ from the binary files."""
-    wrong = []
+    faults = []
     lines = list(csv.DictReader(io.StringIO(kinds["tables.csv"].decode())))
-    stated = [(int(line["units"]), *map(int, line["intervals"].split())) for line in lines]
-    held = [(int(u), *t.tolist()) for u, t in zip(units, tables, strict=True)]
-    if stated != held:
-        number = _first_other(stated, held)
-        wrong.append(f"table {number} of the text is not table {number} of the binary file")
+    text_tables = [(int(line["units"]), *map(int, line["intervals"].split())) for line in lines]
+    binary_tables = [(int(u), *t.tolist()) for u, t in zip(units, tables, strict=True)]
+    if text_tables != binary_tables:
+        number = _first_other(text_tables, binary_tables)
+        faults.append(f"table {number} of the text is not table {number} of the binary file")
     turns = [
         tuple(map(int, row))[1:]
         for row in csv.reader(io.StringIO(kinds["stitches.csv"].decode()))
@@ -186,54 +188,59 @@ def _texts(
     rows_held = [tuple(row) for row in rows.tolist()]
     if turns != rows_held:
         number = _first_other(turns, rows_held)
-        wrong.append(f"turn {number} of the text is not turn {number} of the binary file")
-    return wrong
+        faults.append(f"turn {number} of the text is not turn {number} of the binary file")
+    return faults
 
 
-def _first_other(one: Sequence[object], other: Sequence[object]) -> int:
+def _first_other(first_list: Sequence[object], second_list: Sequence[object]) -> int:
     """Return the first place at which two lists differ."""
-    pairs = enumerate(zip(one, other, strict=False))
-    return next((k for k, (a, b) in pairs if a != b), min(len(one), len(other)))
+    pairs = enumerate(zip(first_list, second_list, strict=False))
+    return next((k for k, (a, b) in pairs if a != b), min(len(first_list), len(second_list)))
 
 
 def _compared(stitched: Stitched, read: _Read, heads: Sequence[str]) -> Found:
     commands, turns = stitched.commands, stitched.turns
     period_s = float(commands.clock.period_s)
-    wrong = [*read.wrong, *heads]
+    faults = [*read.wrong, *heads]
     count = min(len(turns), len(read.begin))
     if len(read.begin) != len(turns):
-        wrong.append(f"{len(read.begin)} turns, the plan has {len(turns)}")
-    for name, own in (("needle", turns.moves.needle), ("operation", turns.operation)):
-        other = np.flatnonzero(getattr(read, name)[:count] != own[:count])
-        if len(other):
-            wrong.append(f"another {name} in turn {other[0]}")
+        faults.append(f"{len(read.begin)} turns, the plan has {len(turns)}")
+    for name, planned_values in (("needle", turns.moves.needle), ("operation", turns.operation)):
+        differing = np.flatnonzero(getattr(read, name)[:count] != planned_values[:count])
+        if len(differing):
+            faults.append(f"another {name} in turn {differing[0]}")
     steps = turns.moves.units[:count] * stitched.steps_per_unit
     counted = turns.window[:count] / commands.window_angle if commands.counted_by == "angle" else 1
     one_count = np.maximum(np.ones(count), counted)  # in periods of the timer
-    late = _late_windows(stitched, read, count) / one_count
-    at = [f"turn {k}" for k in range(count)]
-    off = np.zeros((count, len(commands.axes)))
+    late_counts = _late_windows(stitched, read, count) / one_count
+    places = [f"turn {k}" for k in range(count)]
+    off_steps = np.zeros((count, len(commands.axes)))
     shift = np.zeros((count, len(commands.axes)), dtype=np.int64)
     by_law = _ByLaw(stitched.law, commands.window_angle)
     moves = (read.table[:count] >= 0) | (steps != 0)
     for turn, axis in zip(*(column.tolist() for column in np.nonzero(moves)), strict=True):
         number = int(read.table[turn, axis])
         if number >= len(read.tables):
-            wrong.append(f"turn {turn} asks for table {number} of {len(read.tables)}")
+            faults.append(f"turn {turn} asks for table {number} of {len(read.tables)}")
             break
-        own = read.tables[number] if number >= 0 else read.tables[0][:0]
-        shift[turn, axis] = int(read.sign[turn, axis]) * len(own) - int(steps[turn, axis])
-        if not shift[turn, axis] and len(own):
-            off[turn, axis], counts, step = by_law.off(number, own)
-            if counts > late[turn]:
-                late[turn], at[turn] = counts, f"turn {turn}, step {step} of table {number}"
-    off = np.maximum(off, np.abs(np.cumsum(shift, axis=0)))
-    turn, axis = divmod(int(np.argmax(off)), off.shape[1]) if off.size else (0, 0)
-    slowest = int(np.argmax(late)) if count else 0
-    place = float(off[turn, axis]) if off.size else 0.0
-    lateness_s: FloatArray = np.asarray(late * one_count * period_s, dtype=np.float64)
+        planned_values = read.tables[number] if number >= 0 else read.tables[0][:0]
+        shift[turn, axis] = int(read.sign[turn, axis]) * len(planned_values) - int(
+            steps[turn, axis]
+        )
+        if not shift[turn, axis] and len(planned_values):
+            off_steps[turn, axis], counts, step = by_law.off(number, planned_values)
+            if counts > late_counts[turn]:
+                late_counts[turn], places[turn] = (
+                    counts,
+                    f"turn {turn}, step {step} of table {number}",
+                )
+    off_steps = np.maximum(off_steps, np.abs(np.cumsum(shift, axis=0)))
+    turn, axis = divmod(int(np.argmax(off_steps)), off_steps.shape[1]) if off_steps.size else (0, 0)
+    slowest = int(np.argmax(late_counts)) if count else 0
+    place = float(off_steps[turn, axis]) if off_steps.size else 0.0
+    lateness_s: FloatArray = np.asarray(late_counts * one_count * period_s, dtype=np.float64)
     begin_s: FloatArray = np.asarray(turns.begin[:count] * period_s, dtype=np.float64)
-    largest: FloatArray = np.asarray(off.max(axis=1, initial=0.0), dtype=np.float64)
+    largest: FloatArray = np.asarray(off_steps.max(axis=1, initial=0.0), dtype=np.float64)
     times, worst, slow = thinned(begin_s, largest, lateness_s)
     return Found(
         reader=_READER,
@@ -244,8 +251,8 @@ def _compared(stitched: Stitched, read: _Read, heads: Sequence[str]) -> Found:
         tool_m=place / float(commands.steps_per_unit[axis]),
         time_s=float(lateness_s[slowest]) if count else 0.0,
         time_limit_s=PERIODS * period_s * float(one_count[slowest]) if count else period_s,
-        at=f"turn {turn}" if place > STEPS else at[slowest] if count else "",
-        wrong="; ".join(dict.fromkeys(wrong)),
+        at=f"turn {turn}" if place > STEPS else places[slowest] if count else "",
+        wrong="; ".join(dict.fromkeys(faults)),
         curve=Curve(time_s=times, place=worst, late_s=slow),
     )
 
@@ -254,10 +261,10 @@ def _late_windows(stitched: Stitched, read: _Read, count: int) -> FloatArray:
     """Return (n,) periods by which begin or end of a window, or its angle, differ at most."""
     turns = stitched.turns
     begin = np.abs(read.begin[:count] - turns.begin[:count])
-    own = (read.begin + read.window)[:count]
-    end = np.abs(own - (turns.begin + turns.window)[:count])
-    late: FloatArray = (np.maximum(begin, end) + np.abs(read.start[:count])).astype(np.float64)
-    return late
+    read_end = (read.begin + read.window)[:count]
+    end = np.abs(read_end - (turns.begin + turns.window)[:count])
+    periods: FloatArray = (np.maximum(begin, end) + np.abs(read.start[:count])).astype(np.float64)
+    return periods
 
 
 class _ByLaw:
@@ -278,19 +285,19 @@ class _ByLaw:
         if number not in self._known:
             n, ticks = len(intervals), np.cumsum(intervals)
             order = np.arange(1, n + 1)
-            at = np.clip(ticks / self._window, 0.0, 1.0)
-            place = np.abs(n * np.interp(at, self._share, self._risen) - order)
-            due: FloatArray = np.interp(order / n, self._risen, self._share) * self._window
-            apart = np.abs(due - ticks)
-            step = int(np.argmax(apart))
-            self._known[number] = float(place.max()), float(apart[step]), step + 1
+            window_share = np.clip(ticks / self._window, 0.0, 1.0)
+            off_steps = np.abs(n * np.interp(window_share, self._share, self._risen) - order)
+            due_counts: FloatArray = np.interp(order / n, self._risen, self._share) * self._window
+            counts_apart = np.abs(due_counts - ticks)
+            step = int(np.argmax(counts_apart))
+            self._known[number] = float(off_steps.max()), float(counts_apart[step]), step + 1
         return self._known[number]
 
 
-def _heads(stitched: Stitched, read: _Read) -> list[str]:
+def _manifest_faults(stitched: Stitched, read: _Read) -> list[str]:
     """Return how the manifest differs from the plan."""
-    commands, wrong = stitched.commands, []
-    wanted: dict[str, Any] = {
+    commands, faults = stitched.commands, []
+    planned: dict[str, Any] = {
         "axes": list(commands.axes),
         "counted_by": commands.counted_by,
         "angles_of_window": commands.window_angle,
@@ -303,14 +310,16 @@ def _heads(stitched: Stitched, read: _Read) -> list[str]:
         "law": stitched.law.name,
     }
     if whole_fraction(read.meta["timer_s"]) != commands.clock.period_s:
-        wrong.append(f"timer_s is {read.meta['timer_s']}, the plan has {commands.clock.period_s}")
-    wrong += [
+        faults.append(f"timer_s is {read.meta['timer_s']}, the plan has {commands.clock.period_s}")
+    faults += [
         f"{key} is {str(read.meta[key])[:40]}, the plan has {str(value)[:40]}"
-        for key, value in wanted.items()
+        for key, value in planned.items()
         if read.meta[key] != value
     ]
     per_unit = stitched.steps_per_unit
-    odd = [k for k, t in enumerate(read.tables) if len(t) != per_unit * int(read.units[k])]
-    if odd:
-        wrong.append(f"table {odd[0]} has {len(read.tables[odd[0]])} steps for its units")
-    return wrong
+    wrong_length = [k for k, t in enumerate(read.tables) if len(t) != per_unit * int(read.units[k])]
+    if wrong_length:
+        faults.append(
+            f"table {wrong_length[0]} has {len(read.tables[wrong_length[0]])} steps for its units"
+        )
+    return faults

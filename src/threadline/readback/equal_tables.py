@@ -82,10 +82,10 @@ def compare_table(target: str, plan: Plan, path: Path) -> Found:
 
     def check(meta: Mapping[str, Any]) -> int:
         """Refuse the table of another plan; return how many ticks are read at most."""
-        for key, what in (("job_sha256", "job"), ("machine_sha256", "machine file")):
-            wanted = getattr(planned, key)
-            if meta.get(key) != wanted:
-                raise of_another(what, meta.get(key), wanted, path)
+        for key, kind in (("job_sha256", "job"), ("machine_sha256", "machine file")):
+            planned_hash = getattr(planned, key)
+            if meta.get(key) != planned_hash:
+                raise of_another(kind, meta.get(key), planned_hash, path)
         if list(meta["axes"]) != list(planned.axes):
             raise RecordingError(
                 f"the table has the axes {str(meta['axes'])[:60]}, the plan {list(planned.axes)}",
@@ -95,36 +95,36 @@ def compare_table(target: str, plan: Plan, path: Path) -> Found:
         return _LONGER * len(counts) + _MORE
 
     with refusing(f"table of target {target}", target, path):
-        found = _READERS[target](path, check)
-        meta = found.meta
+        table = _READERS[target](path, check)
+        meta = table.meta
         start = np.array(_counts(meta["start_counts"], len(planned.axes)), dtype=np.int64)
-        told_s = whole_fraction(meta["clock"][1]) * len(found.counts)
+        stated_s = whole_fraction(meta["clock"][1]) * len(table.counts)
         per_unit = list(meta["counts_per_unit"])
-    rows = min(len(counts), len(found.counts))
+    rows = min(len(counts), len(table.counts))
     notes = []
     if per_unit != planned.counts_per_unit.tolist():
         notes.append("other counts_per_unit in the head of the file")
     if meta.get("rows_sha256", "") != planned.rows_sha256():
         notes.append("other rows_sha256 in the head of the file")
-    off = np.abs(
-        np.cumsum(found.counts[:rows] - counts[:rows], axis=0)
+    off_counts = np.abs(
+        np.cumsum(table.counts[:rows] - counts[:rows], axis=0)
         + (start - planned.start_counts)[None]
     )
     at, worst, axis_name = "", 0, ""
-    if rows and off.any():
-        worst = int(off.max())
-        begins, axis = np.argwhere(off > 0)[0]
-        axis_name = planned.axes[int(np.argmax(off.max(axis=0)))]
-        at = f"from line {found.line[begins]}, {planned.axes[axis]}"
-    if len(counts) != len(found.counts):
-        notes.append(f"{len(found.counts)} ticks, the plan has {len(counts)}")
-    other = np.flatnonzero(operation[:rows] != found.operation[:rows])
-    if len(other):
-        notes.append(f"another operation in line {found.line[other[0]]}")
+    if rows and off_counts.any():
+        worst = int(off_counts.max())
+        begins, axis = np.argwhere(off_counts > 0)[0]
+        axis_name = planned.axes[int(np.argmax(off_counts.max(axis=0)))]
+        at = f"from line {table.line[begins]}, {planned.axes[axis]}"
+    if len(counts) != len(table.counts):
+        notes.append(f"{len(table.counts)} ticks, the plan has {len(counts)}")
+    other_rows = np.flatnonzero(operation[:rows] != table.operation[:rows])
+    if len(other_rows):
+        notes.append(f"another operation in line {table.line[other_rows[0]]}")
     radii = plan.machine.radius_m[[plan.machine.axis_names.index(a) for a in planned.axes]]
-    at_tool = np.linalg.norm(off / planned.counts_per_unit * radii, axis=1)
-    largest = np.asarray(off.max(axis=1, initial=0), dtype=np.float64)
-    times, apart = thinned(np.arange(1, rows + 1) * np.float64(period), largest)
+    at_tool = np.linalg.norm(off_counts / planned.counts_per_unit * radii, axis=1)
+    largest = np.asarray(off_counts.max(axis=1, initial=0), dtype=np.float64)
+    times, thinned_counts = thinned(np.arange(1, rows + 1) * np.float64(period), largest)
     return Found(
         reader=_READ_BY[target],
         place=float(worst),
@@ -132,11 +132,11 @@ def compare_table(target: str, plan: Plan, path: Path) -> Found:
         unit="count",
         axis=axis_name,
         tool_m=float(at_tool.max(initial=0.0)),
-        time_s=float(told_s - period * len(counts)),
+        time_s=float(stated_s - period * len(counts)),
         time_limit_s=0.0,
         at=at,
         wrong="; ".join(notes),
-        curve=Curve(time_s=times, place=apart),
+        curve=Curve(time_s=times, place=thinned_counts),
     )
 
 
@@ -154,9 +154,9 @@ def _counts(numbers: object, axes: int) -> Sequence[int]:
     """
     if not isinstance(numbers, list) or len(numbers) != axes:
         raise ValueError(f"{str(numbers)[:40]!r} is not one count for each of {axes} axes")
-    for one in numbers:
-        if type(one) is not int or abs(one) > _MOST_COUNTS:
-            raise ValueError(f"{str(one)[:40]!r} is no count from -2**40 to 2**40")
+    for number in numbers:
+        if type(number) is not int or abs(number) > _MOST_COUNTS:
+            raise ValueError(f"{str(number)[:40]!r} is no count from -2**40 to 2**40")
     return numbers
 
 
@@ -166,7 +166,7 @@ def _too_long(most: int) -> ValueError:
 
 def _read_csv(path: Path, check: Check) -> ReadTable:
     meta, rows = _text_table(path, "csv")
-    most, axes = check(meta), len(meta["axes"])
+    most_ticks, axes = check(meta), len(meta["axes"])
     counts: list[Sequence[int]] = []
     operation: list[int] = []
     lines: list[int] = []
@@ -175,8 +175,8 @@ def _read_csv(path: Path, check: Check) -> ReadTable:
             counts.append(_counts([int(cell) for cell in cells[1 : 1 + axes]], axes))
             operation.append(int(cells[1 + axes]))
             lines.append(number)
-            if len(counts) > most:
-                raise _too_long(most)
+            if len(counts) > most_ticks:
+                raise _too_long(most_ticks)
             if int(cells[0]) != len(counts) - 1:
                 raise ValueError(f"line {number}: tick {cells[0]}, expected {len(counts) - 1}")
     return _table(meta, counts, operation, lines)
@@ -185,26 +185,26 @@ def _read_csv(path: Path, check: Check) -> ReadTable:
 def _read_ticks(path: Path, check: Check) -> ReadTable:
     """Read a trajectory array by its formula in ``docs/files.md``, in whole numbers."""
     meta, rows = _text_table(path, "ticks")
-    most, axes = check(meta), len(meta["axes"])
+    most_ticks, axes = check(meta), len(meta["axes"])
     counts: list[Sequence[int]] = []
     operation: list[int] = []
     lines: list[int] = []
     for number, cells in rows:
-        span = int(cells[0])
-        if span == 0:
+        ticks = int(cells[0])
+        if ticks == 0:
             continue
-        if span < 0:
-            raise ValueError(f"line {number}: {span} ticks")
-        if span > most - len(counts):
-            raise _too_long(most)
+        if ticks < 0:
+            raise ValueError(f"line {number}: {ticks} ticks")
+        if ticks > most_ticks - len(counts):
+            raise _too_long(most_ticks)
         numbers = _counts([int(cell) for cell in cells[1 : 1 + 3 * axes]], 3 * axes)
         triples = list(zip(numbers[0::3], numbers[1::3], numbers[2::3], strict=True))
-        for k in range(span):
+        for k in range(ticks):
             counts.append(
-                [v + (h + (k + 1) * r) // span - (h + k * r) // span for v, r, h in triples]
+                [v + (h + (k + 1) * r) // ticks - (h + k * r) // ticks for v, r, h in triples]
             )
-        operation += [int(cells[1 + 3 * axes])] * span
-        lines += [number] * span
+        operation += [int(cells[1 + 3 * axes])] * ticks
+        lines += [number] * ticks
     return _table(meta, counts, operation, lines)
 
 
@@ -244,13 +244,15 @@ def _read_npz(path: Path, check: Check) -> ReadTable:
                 raise ValueError(f"its {member.filename[:40]!r} is larger than 1 GB")
         meta = json.loads(archive.read("meta.json"))
         check(meta)
-        read, owned = _array(archive, "counts.npy"), _array(archive, "operation.npy")
-    if owned.ndim != 1 or read.shape != (len(owned), len(meta["axes"])):
-        raise ValueError(f"its counts have the shape {read.shape}, its operations {owned.shape}")
-    if read.size and (read.max() > _MOST_COUNTS or read.min() < -_MOST_COUNTS):
+        counts, operations = _array(archive, "counts.npy"), _array(archive, "operation.npy")
+    if operations.ndim != 1 or counts.shape != (len(operations), len(meta["axes"])):
+        raise ValueError(
+            f"its counts have the shape {counts.shape}, its operations {operations.shape}"
+        )
+    if counts.size and (counts.max() > _MOST_COUNTS or counts.min() < -_MOST_COUNTS):
         raise ValueError("it has counts beyond -2**40 to 2**40")
     return ReadTable(
-        meta=meta, counts=read, operation=owned, line=np.arange(len(read), dtype=np.int64)
+        meta=meta, counts=counts, operation=operations, line=np.arange(len(counts), dtype=np.int64)
     )
 
 
@@ -266,8 +268,8 @@ def _array(archive: zipfile.ZipFile, name: str) -> IntArray:
         if math.prod(shape) * kind.itemsize > archive.getinfo(name).file_size:
             raise ValueError(f"its {name} is shorter than it says")
     with archive.open(name) as file:
-        found: IntArray = np.lib.format.read_array(file, allow_pickle=False)
-    return found
+        array: IntArray = np.lib.format.read_array(file, allow_pickle=False)
+    return array
 
 
 _READERS: Mapping[str, Callable[[Path, Check], ReadTable]] = {

@@ -23,7 +23,7 @@ _READERS = {"dst": "DstReader", "u01": "U01Reader"}
 _STITCH, _STOP, _COLOUR, _NEEDLE = 0, 4, 5, 9  # acts of pystitch
 _ACT = 0xFF
 _CHANGES = ("colour", "stop")
-_BEYOND = 1e5  # units, 10 m: no frame is as large
+_LARGEST_UNITS = 1e5  # units, 10 m: no frame is as large
 
 
 def compare_tape(target: str, stitched: Stitched, path: Path, fresh: Path) -> Found:
@@ -48,17 +48,22 @@ def compare_tape(target: str, stitched: Stitched, path: Path, fresh: Path) -> Fo
         )
         if not len(stitches) or not (stitches[:, 2] == _STITCH).any():
             raise no_file_of(what, target, path, "it has no stitches")
-        if not np.isfinite(stitches).all() or np.abs(stitches[:, :2]).max() > _BEYOND:
+        if not np.isfinite(stitches).all() or np.abs(stitches[:, :2]).max() > _LARGEST_UNITS:
             raise no_file_of(what, target, path, "its stitches lie more than 10 m apart")
     sewn = stitches[:, 2] == _STITCH
-    found = stitches[sewn, :2] * np.array([1.0, -1.0])  # pystitch has Y downwards
-    before = np.cumsum(sewn)
-    changes = before[np.isin(stitches[:, 2], (_STOP, _COLOUR, _NEEDLE))]
+    stitch_points = stitches[sewn, :2] * np.array([1.0, -1.0])  # pystitch has Y downwards
+    stitches_before = np.cumsum(sewn)
+    changes = stitches_before[np.isin(stitches[:, 2], (_STOP, _COLOUR, _NEEDLE))]
     planned = stitched.turns
     order = [stitched.axes.index(axis) for axis in ("X", "Y")]
-    down = planned.moves.needle == 1
-    wanted = np.cumsum(planned.moves.units[:, order], axis=0)[down].astype(float)
-    return _compared(stitched, found, wanted, _wrong(found, wanted, changes, stitched, path, fresh))
+    needle_down = planned.moves.needle == 1
+    planned_points = np.cumsum(planned.moves.units[:, order], axis=0)[needle_down].astype(float)
+    return _compared(
+        stitched,
+        stitch_points,
+        planned_points,
+        _tape_faults(stitch_points, planned_points, changes, stitched, path, fresh),
+    )
 
 
 def _read(target: str, path: Path) -> Any:
@@ -70,48 +75,63 @@ def _read(target: str, path: Path) -> Any:
     return pattern
 
 
-def _wrong(
-    found: FloatArray,
-    wanted: FloatArray,
+def _tape_faults(
+    stitch_points: FloatArray,
+    planned_points: FloatArray,
     changes: IntArray,
     stitched: Stitched,
     path: Path,
     fresh: Path,
 ) -> list[str]:
     """Return differences that no limit covers."""
-    wrong = []
-    if len(found) != len(wanted):
-        wrong.append(f"{len(found)} stitches, the plan has {len(wanted)}")
+    faults = []
+    if len(stitch_points) != len(planned_points):
+        faults.append(f"{len(stitch_points)} stitches, the plan has {len(planned_points)}")
     turns = stitched.turns
     sewn = np.cumsum(turns.moves.needle == 1)
     ticks = [e.tick for e in turns.events if e.kind == "tool" and e.name in _CHANGES]
-    due = np.array([sewn[tick - 1] if tick else 0 for tick in ticks], dtype=np.int64)
+    planned_changes = np.array([sewn[tick - 1] if tick else 0 for tick in ticks], dtype=np.int64)
     # A tape may name its first needle, and end with a change that nothing follows.
-    own, due = (np.sort(some[(some > 0) & (some < len(wanted))]) for some in (changes, due))
-    if not np.array_equal(own, due):
-        first = next((k for k, (a, b) in enumerate(zip(own, due, strict=False)) if a != b), -1)
-        change = f"{len(own)} thread changes, the plan has {len(due)}"
+    tape_changes, planned_changes = (
+        np.sort(counts[(counts > 0) & (counts < len(planned_points))])
+        for counts in (changes, planned_changes)
+    )
+    if not np.array_equal(tape_changes, planned_changes):
+        first = next(
+            (
+                k
+                for k, (a, b) in enumerate(zip(tape_changes, planned_changes, strict=False))
+                if a != b
+            ),
+            -1,
+        )
+        change = f"{len(tape_changes)} thread changes, the plan has {len(planned_changes)}"
         if first >= 0:
-            change = f"thread change {first + 1} after stitch {own[first]}, the plan's {due[first]}"
-        wrong.append(change)
-    if path != fresh and not wrong:
+            change = (
+                f"thread change {first + 1} after stitch {tape_changes[first]}, "
+                f"the plan's {planned_changes[first]}"
+            )
+        faults.append(change)
+    if path != fresh and not faults:
         content, written = path.read_bytes(), fresh.read_bytes()
         if content != written:
-            at = next(
+            offset = next(
                 (k for k, (a, b) in enumerate(zip(content, written, strict=False)) if a != b),
                 min(len(content), len(written)),
             )
-            wrong.append(f"byte {at} differs from the byte that compile writes")
-    return wrong
+            faults.append(f"byte {offset} differs from the byte that compile writes")
+    return faults
 
 
-def _compared(stitched: Stitched, found: FloatArray, wanted: FloatArray, wrong: list[str]) -> Found:
-    count = min(len(found), len(wanted))
-    apart = UNIT_M * np.linalg.norm(found[:count] - wanted[:count], axis=1)
-    worst = int(np.argmax(apart)) if count else 0
-    place = float(apart[worst]) if count else 0.0
+def _compared(
+    stitched: Stitched, stitch_points: FloatArray, planned_points: FloatArray, faults: list[str]
+) -> Found:
+    count = min(len(stitch_points), len(planned_points))
+    distances_m = UNIT_M * np.linalg.norm(stitch_points[:count] - planned_points[:count], axis=1)
+    worst = int(np.argmax(distances_m)) if count else 0
+    place = float(distances_m[worst]) if count else 0.0
     ends_s = np.cumsum(stitched.turns.turn_s)[stitched.turns.moves.needle == 1][:count]
-    time_s, shown = thinned(ends_s, apart)
+    time_s, thinned_m = thinned(ends_s, distances_m)
     return Found(
         reader="pystitch",
         place=place,
@@ -120,6 +140,6 @@ def _compared(stitched: Stitched, found: FloatArray, wanted: FloatArray, wrong: 
         tool_m=place,
         at=f"stitch {worst + 1}" if place else "",
         note="a tape has no times: the machine makes its own",
-        wrong="; ".join(wrong),
-        curve=Curve(time_s=time_s, place=shown),
+        wrong="; ".join(faults),
+        curve=Curve(time_s=time_s, place=thinned_m),
     )

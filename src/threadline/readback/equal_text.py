@@ -12,12 +12,12 @@ from threadline.commands.plan import Plan
 from threadline.errors import OptionError, Place, RecordingError
 from threadline.readback.equal_found import MOST_BYTES, of_another, refusing
 
-_HEADS = {
+_ORIGIN_PATTERNS = {
     "version": re.compile(r"Written by Threadline (\S+)|\"threadline\": \"([^\"]+)\""),
     "job": re.compile(r"Job \S+, sha256 ([0-9a-f]{16})"),
     "machine file": re.compile(r"Machine \S+, sha256 ([0-9a-f]{16})"),
 }
-_BESIDE = {
+_ENDINGS_BESIDE = {
     "st": (".configuration.st",),
     "scl": (".tags.csv", ".alarms.csv", ".hmi.csv"),
     "steps": (
@@ -52,17 +52,17 @@ def check_version(target: str, given: Path, plan: Plan) -> None:
     if target == "npz":
         return
     text = given.read_text(encoding="utf-8", errors="replace")
-    wanted = {
+    expected = {
         "version": __version__,
         "job": plan.job.sha256[:16],
         "machine file": plan.machine.sha256[:16],
     }
-    for what, pattern in _HEADS.items():
-        found = pattern.search(text)
-        version = next((one for one in found.groups() if one), "") if found else ""
-        if version and version != wanted[what]:
-            named = "version of Threadline" if what == "version" else what
-            raise of_another(named, version, wanted[what], given)
+    for kind, pattern in _ORIGIN_PATTERNS.items():
+        match = pattern.search(text)
+        version = next((group for group in match.groups() if group), "") if match else ""
+        if version and version != expected[kind]:
+            kind_text = "version of Threadline" if kind == "version" else kind
+            raise of_another(kind_text, version, expected[kind], given)
 
 
 def other_text(target: str, fresh: Path, given: Path) -> str:
@@ -70,26 +70,36 @@ def other_text(target: str, fresh: Path, given: Path) -> str:
     if target == "npz":
         return _other_arrays(fresh, given)
     difference = _other_lines(fresh, given)
-    for ending in _BESIDE.get(target, ()):
-        own, other = (path.with_name(f"{path.stem}{ending}") for path in (fresh, given))
-        if not difference and other.is_file() and own.read_bytes() != other.read_bytes():
+    for ending in _ENDINGS_BESIDE.get(target, ()):
+        written_file, given_file = (
+            path.with_name(f"{path.stem}{ending}") for path in (fresh, given)
+        )
+        if (
+            not difference
+            and given_file.is_file()
+            and written_file.read_bytes() != given_file.read_bytes()
+        ):
             difference = (
-                _other_lines(own, other) if ending.endswith(("csv", "st")) else "other bytes"
+                _other_lines(written_file, given_file)
+                if ending.endswith(("csv", "st"))
+                else "other bytes"
             )
-            difference = f"{other.name}: {difference or 'other blanks'}"
+            difference = f"{given_file.name}: {difference or 'other blanks'}"
     return difference
 
 
 def _other_lines(fresh: Path, given: Path) -> str:
-    wanted, found = (_lines(path) for path in (fresh, given))
-    for (_, text), (number, other) in zip(wanted, found, strict=False):
+    written_lines, given_lines = (_lines(path) for path in (fresh, given))
+    for (_, text), (number, other) in zip(written_lines, given_lines, strict=False):
         if text != other:
-            at = next((k for k, (a, b) in enumerate(zip(text, other, strict=False)) if a != b), 0)
-            begin = max(0, at - 20) if len(other) > 40 else 0
-            shown = [f"{one[begin : begin + 40]!r}" for one in (other, text)]
+            column = next(
+                (k for k, (a, b) in enumerate(zip(text, other, strict=False)) if a != b), 0
+            )
+            begin = max(0, column - 20) if len(other) > 40 else 0
+            shown = [f"{text_shown[begin : begin + 40]!r}" for text_shown in (other, text)]
             return f"line {number} is {shown[0]}, compile writes {shown[1]}"
-    if len(wanted) != len(found):
-        return f"{len(found)} lines, compile writes {len(wanted)}"
+    if len(written_lines) != len(given_lines):
+        return f"{len(given_lines)} lines, compile writes {len(written_lines)}"
     return ""
 
 
@@ -107,8 +117,8 @@ def _lines(path: Path) -> list[tuple[int, str]]:
             place=Place(str(path)),
             remedy="Give a file that compile wrote.",
         ) from error
-    found = ((k, line.strip(" \t")) for k, line in enumerate(text.split("\n"), 1))
-    return [(k, line) for k, line in found if line]
+    stripped = ((k, line.strip(" \t")) for k, line in enumerate(text.split("\n"), 1))
+    return [(k, line) for k, line in stripped if line]
 
 
 def _other_arrays(fresh: Path, given: Path) -> str:
@@ -120,16 +130,23 @@ def _other_arrays(fresh: Path, given: Path) -> str:
     """
     with (
         refusing("archive of arrays", "npz", given),
-        np.load(fresh) as wanted,
-        np.load(given) as found,
+        np.load(fresh) as written,
+        np.load(given) as arrays_given,
     ):
-        for name in wanted.files:
-            if name not in found.files or not np.array_equal(wanted[name], found[name]):
+        for name in written.files:
+            if name not in arrays_given.files or not np.array_equal(
+                written[name], arrays_given[name]
+            ):
                 return f"{name} is not as compile writes it"
-        if more := [name for name in found.files if name not in wanted.files]:
-            return f"{more[0][:40]!r} is not in what compile writes"
-    own, other = fresh.read_bytes(), given.read_bytes()
-    if len(own) == len(other) and own != other:
-        at = next(k for k, (a, b) in enumerate(zip(own, other, strict=True)) if a != b)
-        return f"byte {at} of the archive is {other[at]:#04x}, compile writes {own[at]:#04x}"
+        if additional := [name for name in arrays_given.files if name not in written.files]:
+            return f"{additional[0][:40]!r} is not in what compile writes"
+    written_bytes, given_bytes = fresh.read_bytes(), given.read_bytes()
+    if len(written_bytes) == len(given_bytes) and written_bytes != given_bytes:
+        offset = next(
+            k for k, (a, b) in enumerate(zip(written_bytes, given_bytes, strict=True)) if a != b
+        )
+        return (
+            f"byte {offset} of the archive is {given_bytes[offset]:#04x}, compile writes "
+            f"{written_bytes[offset]:#04x}"
+        )
     return ""

@@ -37,12 +37,12 @@ _COMMENT = re.compile(r"\([^)\n]*\)|;[^\n]*")
 
 def missing() -> str:
     """Return why grbl cannot be compiled here, and how to get it; empty if it can."""
-    named = os.environ.get(FOLDER)
-    if not named:
+    folder_name = os.environ.get(FOLDER)
+    if not folder_name:
         return f"grbl's own code is missing: {FOLDER} names its folder grbl (docs/equal.md)"
     for part in _PARTS:
-        if not (Path(named) / f"{part}.c").is_file():
-            return f"{FOLDER} is {named[:120]}, which has no {part}.c (docs/equal.md)"
+        if not (Path(folder_name) / f"{part}.c").is_file():
+            return f"{FOLDER} is {folder_name[:120]}, which has no {part}.c (docs/equal.md)"
     if shutil.which("cc") is None:
         return "grbl's own code is not compiled: there is no C compiler cc"
     return ""
@@ -78,39 +78,40 @@ def steps_on_grbl(
     source = Path(os.environ[FOLDER]).resolve()
     settings = [f"{1e3 * planner.junction_deviation.si:.9g}", f"{planner.look_ahead + 1}"]
     for axis in (*axes, *_AXES[len(axes) :]):
-        own = machine.axes[axis] if axis in axes and axis in counts else None
-        if own is None:
+        axis_part = machine.axes[axis] if axis in axes and axis in counts else None
+        if axis_part is None:
             settings += ["80", "1000", "100"]
             continue
-        scale = 1e3 if own.kind == "linear" else float(np.degrees(1.0))
+        scale = 1e3 if axis_part.kind == "linear" else float(np.degrees(1.0))
         settings += [
-            f"{counts[axis]:.9g}", f"{60.0 * scale * own.velocity.si:.9g}",
-            f"{scale * own.acceleration.si:.9g}",
+            f"{counts[axis]:.9g}", f"{60.0 * scale * axis_part.velocity.si:.9g}",
+            f"{scale * axis_part.acceleration.si:.9g}",
         ]  # fmt: skip
     text = program.read_text(encoding="utf-8")
     with tempfile.TemporaryDirectory(prefix="threadline-grbl-") as name:
         folder = Path(name)
-        built = _built(source, folder, planner.look_ahead + 1)
+        executable = _compiled(source, folder, planner.look_ahead + 1)
         process = subprocess.run(  # noqa: S603
-            [str(built)], input="\n".join([" ".join(settings), _renamed(text, axes), ""]),
+            [str(executable)], input="\n".join([" ".join(settings), _renamed(text, axes), ""]),
             capture_output=True, text=True, errors="replace", timeout=_TIMEOUT_S, check=False,
         )  # fmt: skip
     *rows, last = process.stdout.splitlines() or [""]
-    refused = next((row for row in [*rows, last] if row.startswith("E")), None)
-    if refused is not None or last != "end" or process.returncode:
-        line, code = (refused or "E 0 0").split()[1:3]
+    refusal = next((row for row in [*rows, last] if row.startswith("E")), None)
+    if refusal is not None or last != "end" or process.returncode:
+        line, code = (refusal or "E 0 0").split()[1:3]
         raise RecordingError(
-            f"grbl's own code answers error:{code}" if refused else "grbl's own code breaks off",
+            f"grbl's own code answers error:{code}" if refusal else "grbl's own code breaks off",
             place=Place(str(program), int(line)),
             remedy="Compile it again for grbl.",
         )
-    found = np.array([row.split() for row in rows], dtype=np.int64).reshape(-1, 4)
+    step_rows = np.array([row.split() for row in rows], dtype=np.int64).reshape(-1, 4)
     return {
         axis: Steps(
-            time_s=found[found[:, k + 1] != 0, 0] / 16e6, sense=found[found[:, k + 1] != 0, k + 1]
+            time_s=step_rows[step_rows[:, k + 1] != 0, 0] / 16e6,
+            sense=step_rows[step_rows[:, k + 1] != 0, k + 1],
         )
         for k, axis in enumerate(axes)
-        if (found[:, k + 1] != 0).any()
+        if (step_rows[:, k + 1] != 0).any()
     }
 
 
@@ -119,11 +120,11 @@ def _renamed(text: str, axes: Sequence[str]) -> str:
     text = _COMMENT.sub("", text)
     if all(axis in _AXES for axis in axes):
         return text
-    own = dict(zip(axes, _AXES, strict=False))
-    return re.sub(f"([{''.join(axes)}])(?=[-+.0-9])", lambda found: own[found[1]], text)
+    grbl_letter = dict(zip(axes, _AXES, strict=False))
+    return re.sub(f"([{''.join(axes)}])(?=[-+.0-9])", lambda match: grbl_letter[match[1]], text)
 
 
-def _built(source: Path, folder: Path, blocks: int) -> Path:
+def _compiled(source: Path, folder: Path, blocks: int) -> Path:
     (folder / "all.h").write_text(_AVR, encoding="ascii")
     for name in _HEADS:
         (folder / name).parent.mkdir(exist_ok=True)
@@ -132,11 +133,13 @@ def _built(source: Path, folder: Path, blocks: int) -> Path:
     words = ["cc", *_FLAGS, f"-DBLOCK_BUFFER_SIZE={blocks}", f"-I{folder}", f"-I{source}"]
     words += ["main.c", *(str(source / f"{name}.c") for name in _PARTS), "-lm", "-static"]
     words += ["-Wl,--unresolved-symbols=ignore-all", "-o", "grbl"]
-    done = subprocess.run(  # noqa: S603
+    compiler_run = subprocess.run(  # noqa: S603
         words, cwd=folder, capture_output=True, text=True, errors="replace", check=False
     )
-    if done.returncode:
-        first = next((row for row in done.stderr.splitlines() if "error" in row), "cc fails")
+    if compiler_run.returncode:
+        first = next(
+            (row for row in compiler_run.stderr.splitlines() if "error" in row), "cc fails"
+        )
         raise OptionError(
             f"grbl's own code does not compile: {first[:160]}",
             remedy=f"{FOLDER} names the folder grbl of gnea/grbl 1.1 (docs/equal.md).",

@@ -27,10 +27,10 @@ CHECKOUT, PYTHON = "THREADLINE_KLIPPER", "THREADLINE_KLIPPER_PYTHON"
 BEGIN_S = 1.25
 """Time at which the program begins, s: Klipper starts 0.25 s ahead, and pauses for 1 s first."""
 _RAILS = "XYZ"
-_OTHERS = "ABCUVW"
+_OTHER_AXES = "ABCUVW"
 _CLOCK_HZ = 50e6  # CLOCK_FREQ of its Linux process
 _FULL, _MICRO = 200, 16
-_FAR = 1e6  # mm
+_FAR_MM = 1e6  # mm
 _CORNER = 5.0  # mm/s: square_corner_velocity without [planner]
 _TIMEOUT_S = 600.0
 _REFUSED = re.compile(
@@ -42,13 +42,13 @@ _LIMIT = "{unit}/s"
 def missing() -> str:
     """Return why Klipper's host cannot be run here, and how to get it; empty if it can."""
     text = f"Klipper's host is not installed: {CHECKOUT} names a checkout of it (docs/equal.md)"
-    named = os.environ.get(CHECKOUT)
-    if not named:
+    checkout_name = os.environ.get(CHECKOUT)
+    if not checkout_name:
         return text
-    checkout = Path(named)
+    checkout = Path(checkout_name)
     for part in ("klippy/klippy.py", "klippy/parsedump.py", "out/klipper.dict"):
         if not (checkout / part).is_file():
-            return f"{CHECKOUT} is {named[:120]}, which has no {part} (docs/equal.md)"
+            return f"{CHECKOUT} is {checkout_name[:120]}, which has no {part} (docs/equal.md)"
     return ""
 
 
@@ -57,7 +57,7 @@ def unfit(machine: Machine, axes: Sequence[str]) -> str:
     for axis in axes:
         if axis in _RAILS and machine.axes[axis].kind != "linear":
             return f"{axis} turns, and Klipper's {axis} is a linear rail"
-        if axis not in _RAILS + _OTHERS:
+        if axis not in _RAILS + _OTHER_AXES:
             return f"Klipper has no axis {axis}"
     return ""
 
@@ -86,13 +86,13 @@ def steps_on_klipper(
         folder = Path(name)
         (folder / "printer.cfg").write_text(_printer(machine, axes, counts), encoding="ascii")
         text = program.read_text(encoding="utf-8")
-        begin, end = _around(machine, axes)
+        begin, end = _lines_around(machine, axes)
         (folder / "job.gcode").write_text(f"{begin}{text}\n{end}", encoding="utf-8")
         words = ["printer.cfg", "-i", "job.gcode", "-o", "out.serial", "-d", dictionary]
-        said = _run([python, str(checkout / "klippy" / "klippy.py"), *words], folder, None)
-        refused = _REFUSED.search(said)
-        if refused is not None:
-            reason = next((one for one in refused.groups() if one), refused[0])
+        messages = _run([python, str(checkout / "klippy" / "klippy.py"), *words], folder, None)
+        refusal = _REFUSED.search(messages)
+        if refusal is not None:
+            reason = next((group for group in refusal.groups() if group), refusal[0])
             raise RecordingError(
                 f"Klipper's host refuses the program: {' '.join(reason.split())[:120]}",
                 place=Place(str(program)),
@@ -105,31 +105,31 @@ def steps_on_klipper(
             return _decoded(lines, _pins(axes))
 
 
-def _run(words: list[str], folder: Path, into: Path | None) -> str:
+def _run(words: list[str], folder: Path, output_file: Path | None) -> str:
     """Run a script of Klipper's; return its messages, without the output that goes into a file."""
     try:
-        if into is None:
-            done = subprocess.run(  # noqa: S603
+        if output_file is None:
+            finished = subprocess.run(  # noqa: S603
                 words, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
                 errors="replace", timeout=_TIMEOUT_S, check=False,
             )  # fmt: skip
-            output = done.stdout
+            output = finished.stdout
         else:
-            with into.open("wb") as out:
-                done = subprocess.run(  # noqa: S603
+            with output_file.open("wb") as out:
+                finished = subprocess.run(  # noqa: S603
                     words, cwd=folder, stdout=out, stderr=subprocess.PIPE, text=True,
                     errors="replace", timeout=_TIMEOUT_S, check=False,
                 )  # fmt: skip
-            output = done.stderr
+            output = finished.stderr
     except (OSError, subprocess.TimeoutExpired) as error:
         raise OptionError(
             f"Klipper's host does not run: {' '.join(str(error).split())[:160]}",
             remedy=f"{PYTHON} names a Python with Klipper's packages (docs/equal.md).",
         ) from error
-    if done.returncode:
+    if finished.returncode:
         last = (output.strip().splitlines() or ["without a message"])[-1]
         raise OptionError(
-            f"Klipper's host ends with status {done.returncode}: {last[:160]}",
+            f"Klipper's host ends with status {finished.returncode}: {last[:160]}",
             remedy=f"{PYTHON} names a Python with Klipper's packages (docs/equal.md).",
         )
     return str(output)
@@ -163,13 +163,15 @@ def _printer(machine: Machine, axes: Sequence[str], counts: Mapping[str, float])
     for k, axis in enumerate(_RAILS):
         lines += [f"[stepper_{axis.lower()}]", *_motor(3 * k, counts.get(axis, 80.0))]
         lines += [
-            f"endstop_pin: gpiochip0/gpio{3 * k + 2}", f"position_min: {-_FAR:.0f}",
-            f"position_max: {_FAR:.0f}", "position_endstop: 0", "homing_positive_dir: False",
+            f"endstop_pin: gpiochip0/gpio{3 * k + 2}", f"position_min: {-_FAR_MM:.0f}",
+            f"position_max: {_FAR_MM:.0f}", "position_endstop: 0", "homing_positive_dir: False",
         ]  # fmt: skip
     for k, axis in enumerate(axis for axis in axes if axis not in _RAILS):
-        alone = planner.alone.get(axis) if planner else None
+        own_acceleration = planner.alone.get(axis) if planner else None
         lines += [f"[manual_stepper axis_{axis.lower()}]", *_motor(9 + 2 * k, counts[axis])]
-        lines += [f"accel: {_shown(machine, axis, alone.si) if alone else 0:.9g}"]
+        lines += [
+            f"accel: {_shown(machine, axis, own_acceleration.si) if own_acceleration else 0:.9g}"
+        ]
     lines += ["[force_move]", "enable_force_move: True"]
     return "\n".join(lines) + "\n"
 
@@ -187,30 +189,30 @@ def _shown(machine: Machine, axis: str, value: float) -> float:
     return 1e3 * value if machine.axes[axis].kind == "linear" else float(np.degrees(value))
 
 
-def _around(machine: Machine, axes: Sequence[str]) -> tuple[str, str]:
+def _lines_around(machine: Machine, axes: Sequence[str]) -> tuple[str, str]:
     """Return the lines before and after the program.
 
     Setting a position makes the host compute all steps so far; at the end of its input it would
     drop those that it has not computed.
     """
     planner = machine.planner if isinstance(machine.planner, KlipperPlanner) else None
-    at = "SET_KINEMATIC_POSITION X=0 Y=0 Z=0\n"
-    lines = [at]
+    zero_line = "SET_KINEMATIC_POSITION X=0 Y=0 Z=0\n"
+    lines = [zero_line]
     for axis in axes:
         if axis in _RAILS:
             continue
-        own, jump = machine.axes[axis], planner.jump.get(axis) if planner else None
+        axis_part, jump = machine.axes[axis], planner.jump.get(axis) if planner else None
         lines.append(
             f"MANUAL_STEPPER STEPPER=axis_{axis.lower()} GCODE_AXIS={axis} "
-            f"LIMIT_VELOCITY={_shown(machine, axis, own.velocity.si):.9g} "
-            f"LIMIT_ACCEL={_shown(machine, axis, own.acceleration.si):.9g} "
+            f"LIMIT_VELOCITY={_shown(machine, axis, axis_part.velocity.si):.9g} "
+            f"LIMIT_ACCEL={_shown(machine, axis, axis_part.acceleration.si):.9g} "
             "INSTANTANEOUS_CORNER_VELOCITY="
             f"{_shown(machine, axis, jump.si) if jump else 1.0:.9g}\n"
         )
-    return "".join([*lines, "G90\nG4 P1000\n"]), f"M400\n{at}"
+    return "".join([*lines, "G90\nG4 P1000\n"]), f"M400\n{zero_line}"
 
 
-def _decoded(lines: Iterator[str], named: Mapping[str, str]) -> dict[str, Steps]:
+def _decoded(lines: Iterator[str], axis_of_pin: Mapping[str, str]) -> dict[str, Steps]:
     """Return the steps of each axis from the commands to the board."""
     axis, sense, clock = dict[str, str](), dict[str, int](), dict[str, int]()
     ticks: dict[str, list[IntArray]] = {}
@@ -222,14 +224,14 @@ def _decoded(lines: Iterator[str], named: Mapping[str, str]) -> dict[str, Steps]
         fields = dict(word.split("=", 1) for word in words if "=" in word)
         oid = fields.get("oid", "")
         if name == "config_stepper":
-            axis[oid] = named.get(fields["step_pin"], "")
+            axis[oid] = axis_of_pin.get(fields["step_pin"], "")
         elif name == "set_next_step_dir":
             sense[oid] = 1 if fields["dir"] == "1" else -1
         elif axis.get(oid):
             interval, count, add = (int(fields[key]) for key in ("interval", "count", "add"))
-            own = clock.get(oid, 0) + np.cumsum(interval + add * np.arange(count))
-            clock[oid] = int(own[-1])
-            ticks.setdefault(axis[oid], []).append(own)
+            step_ticks = clock.get(oid, 0) + np.cumsum(interval + add * np.arange(count))
+            clock[oid] = int(step_ticks[-1])
+            ticks.setdefault(axis[oid], []).append(step_ticks)
             senses.setdefault(axis[oid], []).append(np.full(count, sense[oid]))
     return {
         name: Steps(

@@ -59,20 +59,20 @@ _CONFIGURED = {
 _PINS = {"MIN": 70, "STEP": 71, "DIR": 72, "ENABLE": 73, "CS": -1}
 # Its arc cosine counts the leading zeros of 0, too; without lzcnt this number is undefined.
 _FLAGS = ("-std=gnu++17", "-O1", "-w", "-fpermissive", "-mlzcnt", "-ffunction-sections")
-_HELD = re.compile(r"^[ \t]*(?://)?[ \t]*#define[ \t]+(\w+)\b.*$", re.MULTILINE)
-_MOST = 1e9  # in place of a limit that the machine does not have
+_DEFINITION = re.compile(r"^[ \t]*(?://)?[ \t]*#define[ \t]+(\w+)\b.*$", re.MULTILINE)
+_NO_LIMIT = 1e9  # in place of a limit that the machine does not have
 _RING, _SHORT_US = 16, 20_000
 _TIMEOUT_S = 600.0
 
 
 def missing() -> str:
     """Return why Marlin's planner cannot be compiled here, and what it needs; empty if it can."""
-    named = os.environ.get(FOLDER)
-    if not named:
+    folder_name = os.environ.get(FOLDER)
+    if not folder_name:
         return f"Marlin's own planner is missing: {FOLDER} names its folder (docs/equal.md)"
     for part in _NEEDS:
-        if not (Path(named) / part).is_file():
-            return f"{FOLDER} is {named[:120]}, which has no {part} (docs/equal.md)"
+        if not (Path(folder_name) / part).is_file():
+            return f"{FOLDER} is {folder_name[:120]}, which has no {part} (docs/equal.md)"
     if shutil.which("c++") is None:
         return "Marlin's own planner is not compiled: there is no C++ compiler c++"
     return ""
@@ -92,11 +92,11 @@ def apart(machine: Machine) -> str:
     planner = machine.planner
     if not isinstance(planner, MarlinPlanner) or planner.jump:
         return ""
-    own = bounds_axes_in_corners(Path(os.environ[FOLDER]))
-    if own == planner.corner_axes:
+    corner_axes = bounds_axes_in_corners(Path(os.environ[FOLDER]))
+    if corner_axes == planner.corner_axes:
         return ""
     return (
-        f"the Marlin that {FOLDER} names has corner_axes = {str(own).lower()}, the "
+        f"the Marlin that {FOLDER} names has corner_axes = {str(corner_axes).lower()}, the "
         f"machine file {str(planner.corner_axes).lower()}: speeds in corners may differ"
     )
 
@@ -171,29 +171,40 @@ def compiled(
         shutil.copytree(marlin / "src", folder / "src", ignore=passed_by)
         for name in ("Configuration.h", "Configuration_adv.h", "Version.h"):
             text = (marlin / name).read_text(encoding="utf-8")
-            (folder / name).write_text(_HELD.sub(_configured, text), encoding="utf-8")
+            (folder / name).write_text(_DEFINITION.sub(_configured, text), encoding="utf-8")
         (folder / "main.cpp").write_text(MAIN, encoding="ascii")
-    core = (folder / "src/MarlinCore.h").read_text(encoding="utf-8")
-    alone = re.search(r"^class Marlin", core, re.MULTILINE) is None
+    core_text = (folder / "src/MarlinCore.h").read_text(encoding="utf-8")
+    outside_class = re.search(r"^class Marlin", core_text, re.MULTILINE) is None
     defined = ["__PLAT_LINUX__", "F_CPU=100000000", "I_ENABLE_ON=0", "INVERT_I_DIR=false"]
-    defined += [f"IDLE_ALONE={int(alone)}", f"BLOCK_BUFFER_SIZE={ring}"]
+    defined += [f"IDLE_ALONE={int(outside_class)}", f"BLOCK_BUFFER_SIZE={ring}"]
     defined += [f"I_{name}_PIN={pin}" for name, pin in _PINS.items()]
     defined += ["CLASSIC_JERK"] * jumps + ["S_CURVE_ACCELERATION"] * curved
-    where = [folder, folder / "src/HAL/LINUX/include"]
-    made = folder / f"planner-{int(jumps)}{int(curved)}-{ring}"
+    include_folders = [folder, folder / "src/HAL/LINUX/include"]
+    executable = folder / f"planner-{int(jumps)}{int(curved)}-{ring}"
     sources = [folder / "main.cpp", folder / "src/module/planner.cpp"]
-    words = ["c++", *_FLAGS, *(f"-I{path}" for path in where), *(f"-D{one}" for one in defined)]
+    words = [
+        "c++",
+        *_FLAGS,
+        *(f"-I{path}" for path in include_folders),
+        *(f"-D{definition}" for definition in defined),
+    ]
     words += [*map(str, sources), str(folder / "src/module/motion.cpp"), "-Wl,--gc-sections"]
-    done = subprocess.run(  # noqa: S603
-        [*words, "-o", str(made)], capture_output=True, text=True, errors="replace", check=False
+    compiler_run = subprocess.run(  # noqa: S603
+        [*words, "-o", str(executable)],
+        capture_output=True,
+        text=True,
+        errors="replace",
+        check=False,
     )
-    if done.returncode:
-        first = next((row for row in done.stderr.splitlines() if "error" in row), "c++ fails")
+    if compiler_run.returncode:
+        first = next(
+            (row for row in compiler_run.stderr.splitlines() if "error" in row), "c++ fails"
+        )
         raise OptionError(
             f"Marlin's own planner does not compile: {first[:160]}",
             remedy=f"{FOLDER} names the folder Marlin of bugfix-2.1.x (docs/equal.md).",
         )
-    return made
+    return executable
 
 
 def run(built: Path, words: Iterable[str], moves: Iterable[str]) -> list[list[float]] | None:
@@ -208,22 +219,22 @@ def run(built: Path, words: Iterable[str], moves: Iterable[str]) -> list[list[fl
     return [[float(word) for word in row.split()] for row in rows]
 
 
-def _configured(found: re.Match[str]) -> str:
-    value = _CONFIGURED.get(found[1])
-    if found[1] == "BLOCK_BUFFER_SIZE":
+def _configured(match: re.Match[str]) -> str:
+    value = _CONFIGURED.get(match[1])
+    if match[1] == "BLOCK_BUFFER_SIZE":
         return ""  # it is given to the compiler
-    return found[0] if value is None else f"#define {found[1]} {value}"
+    return match[0] if value is None else f"#define {match[1]} {value}"
 
 
 def _columns(machine: Machine, axes: Sequence[str]) -> dict[str, int]:
     """Return the column of each axis among Marlin's X, Y, Z and rotary I."""
     linear = [axis for axis in axes if machine.axes[axis].kind == "linear"]
-    named = {axis: _AXES.index(axis) for axis in linear if axis in _AXES}
-    left = [k for k in range(len(_AXES) - 1) if k not in named.values()]
+    columns = {axis: _AXES.index(axis) for axis in linear if axis in _AXES}
+    free_columns = [k for k in range(len(_AXES) - 1) if k not in columns.values()]
     for axis in linear:
-        if axis not in named:
-            named[axis] = left.pop(0)
-    return {axis: named.get(axis, len(_AXES) - 1) for axis in axes}
+        if axis not in columns:
+            columns[axis] = free_columns.pop(0)
+    return {axis: columns.get(axis, len(_AXES) - 1) for axis in axes}
 
 
 def _settings(
@@ -234,18 +245,18 @@ def _settings(
     counts: Mapping[str, float],
 ) -> list[str]:
     """Return the lines that set Marlin's planner, in mm, degrees and seconds."""
-    rows = {name: np.full(len(_AXES), fill) for name, fill in _FILLED.items()}
-    jumps = np.full(len(_AXES), _MOST)
+    rows = {name: np.full(len(_AXES), fill) for name, fill in _DEFAULT_SETTINGS.items()}
+    jumps = np.full(len(_AXES), _NO_LIMIT)
     for axis, k in column.items():
-        own = machine.axes[axis]
+        axis_part = machine.axes[axis]
         rows["steps"][k] = counts[axis]
-        rows["rate"][k] = shown[axis] * own.velocity.si
-        rows["most"][k] = shown[axis] * own.acceleration.si
+        rows["rate"][k] = shown[axis] * axis_part.velocity.si
+        rows["most"][k] = shown[axis] * axis_part.acceleration.si
         if axis in planner.jump:
             jumps[k] = shown[axis] * planner.jump[axis].si
     deviation = planner.junction_deviation
     corner = jumps if deviation is None else np.array([1e3 * deviation.si])
-    travel = _MOST if planner.acceleration is None else 1e3 * planner.acceleration.si
+    travel = _NO_LIMIT if planner.acceleration is None else 1e3 * planner.acceleration.si
     least = 0.0 if planner.least_speed is None else 1e3 * planner.least_speed.si
     short = _SHORT_US if planner.short_time is None else 1e6 * planner.short_time.si
     rows |= {"travel": np.array([travel]), "least": np.array([least])}
@@ -253,7 +264,7 @@ def _settings(
     return [f"{name} {' '.join(f'{value:.9g}' for value in row)}" for name, row in rows.items()]
 
 
-_FILLED = {"steps": 80.0, "rate": 1000.0, "most": 1000.0}
+_DEFAULT_SETTINGS = {"steps": 80.0, "rate": 1000.0, "most": 1000.0}
 """Settings of an axis that the job does not have."""
 
 
@@ -264,37 +275,41 @@ def _moves(
     shown: Mapping[str, float],
 ) -> Iterator[str]:
     """Yield a line for each move: position of X Y Z I, speed, whether it rests, dwell."""
-    own = replace(machine, operator=None)
-    path = plan_path(programmed_path(read_written(program, own, "marlin"), own), own, FIRMWARE)
+    own_machine = replace(machine, operator=None)
+    path = plan_path(
+        programmed_path(read_written(program, own_machine, "marlin"), own_machine),
+        own_machine,
+        FIRMWARE,
+    )
     scale = np.array([shown[axis] for axis in path.axes])
     linear = np.array([machine.axes[axis].kind == "linear" for axis in path.axes])
     for pieces in path:
-        way = pieces.coefficients[:, 1] * scale
-        ends = pieces.coefficients[:, 0] * scale + way
-        straight = np.linalg.norm(way[:, linear], axis=1)
-        length = np.where(straight > 0.0, straight, np.abs(way).sum(axis=1))
+        displacements = pieces.coefficients[:, 1] * scale
+        ends = pieces.coefficients[:, 0] * scale + displacements
+        linear_length = np.linalg.norm(displacements[:, linear], axis=1)
+        length = np.where(linear_length > 0.0, linear_length, np.abs(displacements).sum(axis=1))
         for k, end in enumerate(ends):
             place = np.zeros(len(_AXES))
             for axis, value in zip(path.axes, end.tolist(), strict=True):
                 place[column[axis]] = value
             nominal_s = float(pieces.nominal_s[k])
-            speed = length[k] / nominal_s if nominal_s > 0.0 else _MOST
+            speed = length[k] / nominal_s if nominal_s > 0.0 else _NO_LIMIT
             rests = int(pieces.rest_after[k])
-            move = " ".join(f"{value:.6f}" for value in (*place, min(speed, _MOST)))
+            move = " ".join(f"{value:.6f}" for value in (*place, min(speed, _NO_LIMIT)))
             yield f"{move} {rests} {float(pieces.dwell_s[k]):.9g}"
 
 
 def _steps(rows: Sequence[Sequence[float]], column: Mapping[str, int]) -> dict[str, Steps]:
     """Return the steps of the blocks, one row each, and of the waits between them."""
-    now = 0.0
+    now_s = 0.0
     times: dict[str, list[FloatArray]] = {axis: [] for axis in column}
     senses: dict[str, list[FloatArray]] = {axis: [] for axis in column}
     for row in rows:
         if len(row) == 1:
-            now += row[0]
+            now_s += row[0]
             continue
         events, lasts_s = round(row[4]), row[11]
-        at_s = now + event_times(events, *row[5:11])
+        at_s = now_s + event_times(events, *row[5:11])
         for axis, k in column.items():
             count = abs(round(row[k]))
             if count:
@@ -302,7 +317,7 @@ def _steps(rows: Sequence[Sequence[float]], column: Mapping[str, int]) -> dict[s
                 event = -(-(2 * number - 1) * events // (2 * count))
                 times[axis].append(at_s[event - 1])
                 senses[axis].append(np.full(count, np.sign(row[k])))
-        now += lasts_s
+        now_s += lasts_s
     return {
         axis: Steps(
             time_s=np.concatenate(times[axis]),
@@ -327,20 +342,26 @@ def event_times(
     gain
         Acceleration, steps/s^2.
     """
-    up = min(faster, events)
-    down = events - max(min(slower, events), up)
+    events_up = min(faster, events)
+    events_down = events - max(min(slower, events), events_up)
     number = np.arange(1.0, events + 1.0)
-    grown = np.minimum(number, up)
-    speed = np.minimum(np.sqrt(first * first + 2.0 * gain * grown), max(top, first))
-    over = grown - (speed * speed - first * first) / (2.0 * gain)
-    time_s = (speed - first) / gain + np.maximum(over, 0.0) / speed
-    reached = float(speed[-1]) if up else first
-    if events > up + down:
-        reached = top
-        time_s += np.clip(number - up, 0.0, events - up - down) / top
-    fallen = np.maximum(number - (events - down), 0.0)
-    if down and reached <= last:
-        return np.asarray(time_s + fallen / last)
-    lower = np.maximum(np.sqrt(np.maximum(reached**2 - 2.0 * gain * fallen, 0.0)), last)
-    rest = fallen - (reached**2 - lower**2) / (2.0 * gain)
-    return np.asarray(time_s + (reached - lower) / gain + np.maximum(rest, 0.0) / lower)
+    events_faster = np.minimum(number, events_up)
+    speed = np.minimum(np.sqrt(first * first + 2.0 * gain * events_faster), max(top, first))
+    events_cruising = events_faster - (speed * speed - first * first) / (2.0 * gain)
+    time_s = (speed - first) / gain + np.maximum(events_cruising, 0.0) / speed
+    speed_reached = float(speed[-1]) if events_up else first
+    if events > events_up + events_down:
+        speed_reached = top
+        time_s += np.clip(number - events_up, 0.0, events - events_up - events_down) / top
+    events_slower = np.maximum(number - (events - events_down), 0.0)
+    if events_down and speed_reached <= last:
+        return np.asarray(time_s + events_slower / last)
+    falling_speed = np.maximum(
+        np.sqrt(np.maximum(speed_reached**2 - 2.0 * gain * events_slower, 0.0)), last
+    )
+    events_at_last = events_slower - (speed_reached**2 - falling_speed**2) / (2.0 * gain)
+    return np.asarray(
+        time_s
+        + (speed_reached - falling_speed) / gain
+        + np.maximum(events_at_last, 0.0) / falling_speed
+    )

@@ -30,14 +30,14 @@ _MOST_IN_ALL = 20_000_000  # in all scans
 _MOST_PLACES = 1_000_000  # of an array
 _DEEPEST = 60
 _MOST_DIGITS = 18  # of a number: LINT has 19
-_COMPARED: Mapping[str, Callable[[Any, Any], Any]] = {
+_COMPARISONS: Mapping[str, Callable[[Any, Any], Any]] = {
     "=": operator.eq, "<>": operator.ne, "<": operator.lt, ">": operator.gt,
     "<=": operator.le, ">=": operator.ge,
 }  # fmt: skip
 _LEVELS: tuple[Mapping[str, Callable[[Any, Any], Any]], ...] = (
     {"or": lambda a, b: a or b},
     {"and": lambda a, b: a and b},
-    _COMPARED,
+    _COMPARISONS,
     {"+": operator.add, "-": operator.sub},
     {"*": operator.mul, "mod": lambda a, b: a - b * int(a / b)},
 )
@@ -187,21 +187,21 @@ class Parser:
 
     def literals(self) -> list[Value]:
         """Read the values of an array; ``3(FALSE)`` stands for three values."""
-        found = list[Value]()
+        values = list[Value]()
         self.take("[")
         while self.peek() != "]":
-            one, count = self.literal(), 1
+            value, count = self.literal(), 1
             if self.peek() == "(":
                 self.take()
-                if type(one) is not int or one > _MOST_PLACES - len(found):
-                    raise ScanError(f"{str(one)[:40]!r} is not a number of values", self.line)
-                count, one = one, self.literal()
+                if type(value) is not int or value > _MOST_PLACES - len(values):
+                    raise ScanError(f"{str(value)[:40]!r} is not a number of values", self.line)
+                count, value = value, self.literal()
                 self.take(")")
-            found += [one] * count
+            values += [value] * count
             if self.peek() == ",":
                 self.take()
         self.take("]")
-        return found
+        return values
 
     def literal(self) -> Value:
         """Read a constant."""
@@ -226,14 +226,14 @@ class Parser:
         self._depth += 1
         if self._depth > _DEEPEST:
             raise ScanError(f"statements stand more than {_DEEPEST} deep in one another", self.line)
-        found = list[Statement]()
+        statements = list[Statement]()
         while self.peek() not in ends:
-            found.append(self._statement())
+            statements.append(self._statement())
         self._depth -= 1
 
         def run(v: Variables, now_us: int) -> None:
-            for one in found:
-                one(v, now_us)
+            for statement in statements:
+                statement(v, now_us)
 
         return run
 
@@ -251,10 +251,10 @@ class Parser:
         self.take(";")
 
         def assign(v: Variables, _: int) -> None:
-            found = value(v)
-            if isinstance(found, int) and abs(found) >> 63:
+            result = value(v)
+            if isinstance(result, int) and abs(result) >> 63:
                 raise ScanError(f"{name} becomes larger than any number of a controller", line)
-            v[name] = found
+            v[name] = result
 
         return assign
 
@@ -265,10 +265,10 @@ class Parser:
             condition = self.expression()
             self.take("then")
             branches.append((condition, self.statements("elsif", "else", "end_if")))
-        other = None
+        else_body = None
         if self.peek() == "else":
             self.take()
-            other = self.statements("end_if")
+            else_body = self.statements("end_if")
         self.take("end_if")
         self.take(";")
 
@@ -277,8 +277,8 @@ class Parser:
                 if condition(v):
                     body(v, now_us)
                     return
-            if other is not None:
-                other(v, now_us)
+            if else_body is not None:
+                else_body(v, now_us)
 
         return run
 
@@ -300,20 +300,24 @@ class Parser:
 
     def _count_turn(self, now_us: int, line: int) -> None:
         """Count one turn of any loop of this text."""
-        before = self._turns if now_us == self._turning_us else 0
-        self._turning_us, self._turns, self._all_turns = now_us, before + 1, self._all_turns + 1
+        turns_before = self._turns if now_us == self._turning_us else 0
+        self._turning_us, self._turns, self._all_turns = (
+            now_us,
+            turns_before + 1,
+            self._all_turns + 1,
+        )
         if self._turns > _MOST_TURNS or self._all_turns > _MOST_IN_ALL:
             raise ScanError("its loop never ends", line)
 
     def _call(self, name: str) -> Statement:
-        pins, given = dict[str, Expression](), dict[str, str]()
+        pins, outputs = dict[str, Expression](), dict[str, str]()
         self.take("(")
         while self.peek() != ")":
             pin = self.name()
             if self.take(":=", "=>") == ":=":
                 pins[pin] = self.expression()
             else:
-                given[pin] = self.name()
+                outputs[pin] = self.name()
             if self.peek() != ")":
                 self.take(",")
         self.take(")")
@@ -322,7 +326,7 @@ class Parser:
         def run(v: Variables, now_us: int) -> None:
             callee: Callee = v[name]
             callee.call({pin: value(v) for pin, value in pins.items()}, now_us)
-            for pin, variable in given.items():
+            for pin, variable in outputs.items():
                 v[variable] = callee.values[pin]
 
         return run
@@ -334,16 +338,16 @@ class Parser:
         left = self.expression(level + 1)
         while self.peek() in _LEVELS[level]:
             word = self.take().lower()
-            left = _joined(word, _LEVELS[level][word], left, self.expression(level + 1))
+            left = _binary(word, _LEVELS[level][word], left, self.expression(level + 1))
         return left
 
     def _operand(self) -> Expression:
         self._depth += 1
         if self._depth > _DEEPEST:
             raise ScanError(f"brackets stand more than {_DEEPEST} deep in one another", self.line)
-        found = self._single()
+        operand = self._single()
         self._depth -= 1
-        return found
+        return operand
 
     def _single(self) -> Expression:
         word = self.peek()
@@ -379,21 +383,21 @@ class Parser:
         return index
 
 
-def _joined(
+def _binary(
     word: str, operation: Callable[[Any, Any], Any], left: Expression, right: Expression
 ) -> Expression:
     if word == "or":
         return lambda v: left(v) or right(v)
     if word == "and":
         return lambda v: left(v) and right(v)
-    if word in _COMPARED:
+    if word in _COMPARISONS:
         return lambda v: operation(left(v), right(v))
 
     def calculated(v: Variables) -> Any:
-        one, other = left(v), right(v)
-        if not isinstance(one, int) or not isinstance(other, int):
+        left_value, right_value = left(v), right(v)
+        if not isinstance(left_value, int) or not isinstance(right_value, int):
             raise ScanError(f"{word.upper()} is between what are no numbers")
-        return operation(one, other)
+        return operation(left_value, right_value)
 
     return calculated
 

@@ -21,7 +21,7 @@ from threadline.readback.scan_language import (
 from threadline.readback.scan_words import ScanError, time_us, tokens_of
 
 _INTERVAL = re.compile(r"\bINTERVAL\s*:=\s*(T(?:IME)?#\w+)", re.IGNORECASE)
-_SCL_DRESS = re.compile(
+_SCL_DECORATION = re.compile(
     r"(?P<kept>'[^'\n]*'|//[^\n]*|\(\*.*?\*\))|\{[^}\n]*\}|\"(?P<tag>\w+)\"|(?<!\w)#(?P<own>\w+)",
     re.DOTALL,
 )
@@ -58,15 +58,15 @@ def of_text(path: Path) -> ReadProgram:
     """
     text = path.read_text(encoding="utf-8")
     units = list(read_units(text))
-    beside = path.with_name(f"{path.stem}.configuration.st")
-    if beside.is_file() and not _INTERVAL.search(text):
-        text += "\n" + beside.read_text(encoding="utf-8")
+    configuration = path.with_name(f"{path.stem}.configuration.st")
+    if configuration.is_file() and not _INTERVAL.search(text):
+        text += "\n" + configuration.read_text(encoding="utf-8")
     return ReadProgram(units=units, interval_us=_interval_us(text))
 
 
 def _interval_us(text: str) -> int | None:
-    found = _INTERVAL.search(text)
-    return None if found is None else time_us(found[1])
+    match = _INTERVAL.search(text)
+    return None if match is None else time_us(match[1])
 
 
 def of_plcopen(path: Path) -> ReadProgram:
@@ -96,8 +96,8 @@ def of_plcopen(path: Path) -> ReadProgram:
 
 def _interval_of(text: str) -> int:
     """Return an interval in us from its form in XML: ``PT0.01S``, or ``T#10ms``."""
-    found = re.fullmatch(r"PT(\d{1,9}(?:\.\d{1,9})?)S", text)
-    return round(1e6 * float(found[1])) if found else time_us(text)
+    match = re.fullmatch(r"PT(\d{1,9}(?:\.\d{1,9})?)S", text)
+    return round(1e6 * float(match[1])) if match else time_us(text)
 
 
 def _pou(element: ET.Element) -> Unit:
@@ -132,9 +132,9 @@ def _variable(element: ET.Element, section: str) -> Declared:
     values = element.find("initialValue/arrayValue")
     if values is not None:
         initial = [
-            _literal(one)
+            _literal(element_value)
             for value in values.iterfind("value")
-            for one in value.iterfind("simpleValue")
+            for element_value in value.iterfind("simpleValue")
             for _ in range(_count(value.get("repetitionValue", "1")))
         ]
     address = element.get("address", "").upper()
@@ -171,21 +171,21 @@ def of_scl(path: Path) -> ReadProgram:
         name.lower(): re.sub(r"^%([IQ])(?=\d)", r"%\1X", address)
         for name, _, address, *_ in rows[1:]
     }
-    found = re.search(r"cyclic interrupt of (\d{1,9}) ms", text)
+    match = re.search(r"cyclic interrupt of (\d{1,9}) ms", text)
     return ReadProgram(
         units=_scl_units(text, addresses),
-        interval_us=None if found is None else 1000 * int(found[1]),
+        interval_us=None if match is None else 1000 * int(match[1]),
         addresses=addresses,
     )
 
 
-def _undressed(found: re.Match[str]) -> str:
+def _bare_word(match: re.Match[str]) -> str:
     """Return a word of SCL without the ``#`` or the quotes that IEC 61131-3 does not have."""
-    return found["kept"] or found["tag"] or found["own"] or ""
+    return match["kept"] or match["tag"] or match["own"] or ""
 
 
 def _scl_units(text: str, addresses: Mapping[str, str]) -> list[Unit]:
-    parser = Parser(tokens_of(_SCL_DRESS.sub(_undressed, text)))
+    parser = Parser(tokens_of(_SCL_DECORATION.sub(_bare_word, text)))
     units, instances = list[Unit](), dict[str, str]()
     while not parser.done:
         word = parser.take("data_block", "function_block", "organization_block").lower()
@@ -210,8 +210,8 @@ def _scl_units(text: str, addresses: Mapping[str, str]) -> list[Unit]:
     tables = [unit.name for unit in units if unit.kind == "data_block"]
     for unit in units:
         unit.declared = {
-            name: replace(one, type=TIMER) if one.type == "ton_time" else one
-            for name, one in unit.declared.items()
+            name: replace(variable, type=TIMER) if variable.type == "ton_time" else variable
+            for name, variable in unit.declared.items()
         }
         if unit.kind == "function_block":
             for name in tables:

@@ -44,16 +44,16 @@ def tokens_of(text: str) -> list[Token]:
     ScanError
         If a character belongs to no token.
     """
-    found, at, line = list[Token](), 0, 1
-    while at < len(text):
-        match = _TOKEN.match(text, at)
+    tokens, position, line = list[Token](), 0, 1
+    while position < len(text):
+        match = _TOKEN.match(text, position)
         if match is None:
-            raise ScanError(f"{text[at : at + 20]!r} is no word of it", line)
+            raise ScanError(f"{text[position : position + 20]!r} is no word of it", line)
         if match.lastgroup != "gap":
-            found.append(Token(str(match.lastgroup), match[0], line))
+            tokens.append(Token(str(match.lastgroup), match[0], line))
         line += match[0].count("\n")
-        at = match.end()
-    return found
+        position = match.end()
+    return tokens
 
 
 def time_us(text: str, line: int | None = None) -> int:

@@ -13,7 +13,7 @@ from threadline.readback.equal_found import Curve, thinned
 
 _FINE = 200_000  # instants at which a reference is sampled
 _MOST_PLACES = 50_000  # steps whose distance from the path is measured, evenly chosen
-_LOOKS = 48  # pieces of the path on which each step is searched
+_SEARCH_PIECES = 48  # pieces of the path on which each step is searched
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -61,12 +61,12 @@ class Beside:
 def merged_steps(steps: Mapping[str, Steps], axes: Sequence[str]) -> tuple[FloatArray, IntArray]:
     """Return (n,) instants of all steps in order, and (n, axes) positions after each, in steps."""
     moving = [(k, steps[axis]) for k, axis in enumerate(axes) if axis in steps]
-    time_s = np.concatenate([own.time_s for _, own in moving] or [np.zeros(0)])
+    time_s = np.concatenate([axis_steps.time_s for _, axis_steps in moving] or [np.zeros(0)])
     change = np.zeros((len(time_s), len(axes)), dtype=np.int64)
     begin = 0
-    for column, own in moving:
-        change[begin : begin + len(own.sense), column] = own.sense
-        begin += len(own.sense)
+    for column, axis_steps in moving:
+        change[begin : begin + len(axis_steps.sense), column] = axis_steps.sense
+        begin += len(axis_steps.sense)
     order = np.argsort(time_s, kind="stable")
     return time_s[order], np.cumsum(change[order], axis=0)
 
@@ -96,69 +96,86 @@ def beside(
     times, offs = [np.zeros(0)], [np.zeros(0)]
     for k, axis in enumerate(axes):
         if axis not in steps:
-            still = np.abs(places[:, k])
-            if still.max() > max(off, 1.0):
-                off, worst, at_s = float(still.max()), axis, float(fine_s[int(np.argmax(still))])
+            at_rest = np.abs(places[:, k])
+            if at_rest.max() > max(off, 1.0):
+                off, worst, at_s = (
+                    float(at_rest.max()),
+                    axis,
+                    float(fine_s[int(np.argmax(at_rest))]),
+                )
             continue
-        own = steps[axis]
-        middle = own.made - 0.5 * own.sense
-        due = reference(np.clip(own.time_s, 0.0, reference.duration_s))[:, k] - start[k]
-        apart = np.abs(due * counts[k] - middle)
-        end = abs(float(places[-1, k]) - float(own.made[-1]))
-        if max(float(apart.max()), end) > off:
-            off, worst = max(float(apart.max()), end), axis
-            at_s = float(own.time_s[int(np.argmax(apart))]) if apart.max() >= end else fine_s[-1]
-        times.append(own.time_s)
-        offs.append(apart)
-    time_s, made = merged_steps(steps, axes)
+        axis_steps = steps[axis]
+        middle_counts = axis_steps.made - 0.5 * axis_steps.sense
+        due_si = reference(np.clip(axis_steps.time_s, 0.0, reference.duration_s))[:, k] - start[k]
+        counts_apart = np.abs(due_si * counts[k] - middle_counts)
+        end = abs(float(places[-1, k]) - float(axis_steps.made[-1]))
+        if max(float(counts_apart.max()), end) > off:
+            off, worst = max(float(counts_apart.max()), end), axis
+            at_s = (
+                float(axis_steps.time_s[int(np.argmax(counts_apart))])
+                if counts_apart.max() >= end
+                else fine_s[-1]
+            )
+        times.append(axis_steps.time_s)
+        offs.append(counts_apart)
+    time_s, counts_made = merged_steps(steps, axes)
     # How far both have gone, each step of an axis counted once, tells where they are on the path.
-    own_way = np.arange(1, len(time_s) + 1, dtype=np.float64) - 0.5
-    way = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(places, axis=0)).sum(axis=1))])
+    steps_gone = np.arange(1, len(time_s) + 1, dtype=np.float64) - 0.5
+    path_counts = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(places, axis=0)).sum(axis=1))])
     slack = float(len(axes))
     low, high = (
-        np.clip(np.searchsorted(way, own_way + sign * slack), 0, _FINE - 1) for sign in (-1, 1)
-    )
-    late = time_s - np.clip(time_s, fine_s[low], fine_s[high])
-    to_tool = radius_m / counts
-    some = slice(None, None, max(1, -(-len(time_s) // _MOST_PLACES)))
-    low, high = (
-        np.clip(np.searchsorted(way, own_way[some] + sign * 4.0 * slack), 0, _FINE - 1)
+        np.clip(np.searchsorted(path_counts, steps_gone + sign * slack), 0, _FINE - 1)
         for sign in (-1, 1)
     )
-    away = _from_path(made[some] * to_tool, places * to_tool, low, high)
+    lateness_s = time_s - np.clip(time_s, fine_s[low], fine_s[high])
+    m_per_count = radius_m / counts
+    chosen = slice(None, None, max(1, -(-len(time_s) // _MOST_PLACES)))
+    low, high = (
+        np.clip(np.searchsorted(path_counts, steps_gone[chosen] + sign * 4.0 * slack), 0, _FINE - 1)
+        for sign in (-1, 1)
+    )
+    path_distances = _from_path(counts_made[chosen] * m_per_count, places * m_per_count, low, high)
     order = np.argsort(np.concatenate(times), kind="stable")
-    when, apart = thinned(np.concatenate(times)[order], np.concatenate(offs)[order])
-    slowest = int(np.argmax(np.abs(late))) if len(late) else 0
-    farthest = int(np.argmax(away)) if len(away) else 0
+    curve_s, counts_apart = thinned(np.concatenate(times)[order], np.concatenate(offs)[order])
+    slowest = int(np.argmax(np.abs(lateness_s))) if len(lateness_s) else 0
+    farthest = int(np.argmax(path_distances)) if len(path_distances) else 0
     return Beside(
         off=off,
         axis=worst,
         at_s=at_s,
-        path_m=float(away[farthest]) if len(away) else 0.0,
-        path_at_s=float(time_s[some][farthest]) if len(away) else 0.0,
-        late_s=float(late[slowest]) if len(late) else -reference.duration_s,
-        curve=Curve(time_s=when, place=apart, late_s=_at(when, time_s, late)),
+        path_m=float(path_distances[farthest]) if len(path_distances) else 0.0,
+        path_at_s=float(time_s[chosen][farthest]) if len(path_distances) else 0.0,
+        late_s=float(lateness_s[slowest]) if len(lateness_s) else -reference.duration_s,
+        curve=Curve(
+            time_s=curve_s, place=counts_apart, late_s=_values_at(curve_s, time_s, lateness_s)
+        ),
         path_curve=Curve(
-            time_s=when, place=_at(when, time_s[some], away), late_s=_at(when, time_s, late)
+            time_s=curve_s,
+            place=_values_at(curve_s, time_s[chosen], path_distances),
+            late_s=_values_at(curve_s, time_s, lateness_s),
         ),
     )
 
 
-def _at(when: FloatArray, time_s: FloatArray, values: FloatArray) -> FloatArray:
-    found: FloatArray = np.interp(when, time_s, values) if len(time_s) else np.zeros(len(when))
-    return found
+def _values_at(instants_s: FloatArray, time_s: FloatArray, values: FloatArray) -> FloatArray:
+    interpolated: FloatArray = (
+        np.interp(instants_s, time_s, values) if len(time_s) else np.zeros(len(instants_s))
+    )
+    return interpolated
 
 
 def _from_path(made_m: FloatArray, path_m: FloatArray, low: IntArray, high: IntArray) -> FloatArray:
     """Return the distance of each of n places from the path between the points low and high."""
-    best = np.full(len(made_m), np.inf)
+    least_m = np.full(len(made_m), np.inf)
     end = path_m[np.clip(low, 0, len(path_m) - 1)]
-    for share in np.linspace(0.0, 1.0, _LOOKS)[1:]:
+    for share in np.linspace(0.0, 1.0, _SEARCH_PIECES)[1:]:
         begin, end = end, path_m[np.ceil(low + share * (high - low)).astype(np.int64)]
-        way = end - begin
-        squared = (way**2).sum(axis=1)
-        along = ((made_m - begin) * way).sum(axis=1)
-        part = np.divide(along, squared, out=np.zeros_like(along), where=squared > 0.0)
-        nearest = begin + np.clip(part, 0.0, 1.0)[:, None] * way
-        best = np.minimum(best, np.linalg.norm(made_m - nearest, axis=1))
-    return best
+        step = end - begin
+        length2 = (step**2).sum(axis=1)
+        projection = ((made_m - begin) * step).sum(axis=1)
+        share_on_piece = np.divide(
+            projection, length2, out=np.zeros_like(projection), where=length2 > 0.0
+        )
+        nearest = begin + np.clip(share_on_piece, 0.0, 1.0)[:, None] * step
+        least_m = np.minimum(least_m, np.linalg.norm(made_m - nearest, axis=1))
+    return least_m

@@ -23,38 +23,40 @@ _EXACT_M = 1e-6  # tolerance of the least distance along a line
 
 
 @njit(nogil=True)
-def _to_outline(x: float, r: float, line: FloatArray, boxes: FloatArray, most: float) -> float:
-    """Return the signed distance of a point in the plane to a closed outline, or above ``most``.
+def _distance_to_outline(
+    x: float, r: float, outline: FloatArray, boxes: FloatArray, limit_m: float
+) -> float:
+    """Return the signed distance of a point to a closed outline, or more than ``limit_m``.
 
-    ``line`` is (n, 2) places and radii, from the axis back to the axis; ``boxes`` holds least and
-    largest place and radius of every ``LEAF`` chords. Inside, the distance is negative.
+    ``outline`` is (n, 2) places and radii, from the axis back to the axis; ``boxes`` holds least
+    and largest place and radius of every ``LEAF`` chords. Inside, the distance is negative.
     """
-    best, inside, found = most * most, False, False
+    least2_m2, inside, any_chord = limit_m * limit_m, False, False
     for box in range(len(boxes)):
         dx = max(boxes[box, 0] - x, x - boxes[box, 1], 0.0)
         dr = max(boxes[box, 2] - r, r - boxes[box, 3], 0.0)
-        across = boxes[box, 0] <= x <= boxes[box, 1]
-        if dx * dx + dr * dr >= best and not across:
+        beside = boxes[box, 0] <= x <= boxes[box, 1]
+        if dx * dx + dr * dr >= least2_m2 and not beside:
             continue
-        for k in range(box * LEAF, min((box + 1) * LEAF, len(line) - 1)):
-            ax, ar = line[k, 0], line[k, 1]
-            bx, br = line[k + 1, 0] - ax, line[k + 1, 1] - ar
+        for k in range(box * LEAF, min((box + 1) * LEAF, len(outline) - 1)):
+            ax, ar = outline[k, 0], outline[k, 1]
+            bx, br = outline[k + 1, 0] - ax, outline[k + 1, 1] - ar
             px, pr = x - ax, r - ar
-            if (ax <= x) != (line[k + 1, 0] <= x) and pr < px / bx * br:
+            if (ax <= x) != (outline[k + 1, 0] <= x) and pr < px / bx * br:
                 inside = not inside
-            square = bx * bx + br * br
-            share = min(max((px * bx + pr * br) / square, 0.0), 1.0) if square > 0.0 else 0.0
+            chord2 = bx * bx + br * br
+            share = min(max((px * bx + pr * br) / chord2, 0.0), 1.0) if chord2 > 0.0 else 0.0
             gx, gr = px - share * bx, pr - share * br
-            away = gx * gx + gr * gr
-            if away < best:
-                best, found = away, True
-    if not found:
+            distance2_m2 = gx * gx + gr * gr
+            if distance2_m2 < least2_m2:
+                least2_m2, any_chord = distance2_m2, True
+    if not any_chord:
         return -math.inf if inside else math.inf
-    return -math.sqrt(best) if inside else math.sqrt(best)
+    return -math.sqrt(least2_m2) if inside else math.sqrt(least2_m2)
 
 
 @njit(nogil=True)
-def _to_ring(x: float, r: float, ring: FloatArray) -> float:
+def _distance_to_ring(x: float, r: float, ring: FloatArray) -> float:
     """Return the signed distance of a point in the plane to a solid cylinder."""
     dx, dr = max(float(ring[0]) - x, x - float(ring[1])), r - float(ring[2])
     if dx <= 0.0 and dr <= 0.0:
@@ -64,52 +66,52 @@ def _to_ring(x: float, r: float, ring: FloatArray) -> float:
 
 @njit(nogil=True)
 def _distance(
-    a: FloatArray, b: FloatArray, share: float, which: int,
-    line: FloatArray, boxes: FloatArray, rings: FloatArray, most: float,
+    a: FloatArray, b: FloatArray, share: float, body: int,
+    outline: FloatArray, boxes: FloatArray, rings: FloatArray, limit_m: float,
 ) -> float:  # fmt: skip
     x = a[0] + share * (b[0] - a[0])
     across, up = a[1] + share * (b[1] - a[1]), a[2] + share * (b[2] - a[2])
     r = math.sqrt(across * across + up * up)
-    if which == 0:
-        return float(_to_outline(x, r, line, boxes, most))
-    return float(_to_ring(x, r, rings[which - 1]))
+    if body == 0:
+        return float(_distance_to_outline(x, r, outline, boxes, limit_m))
+    return float(_distance_to_ring(x, r, rings[body - 1]))
 
 
 @njit(nogil=True)
-def _along(
-    a: FloatArray, b: FloatArray, which: int,
-    line: FloatArray, boxes: FloatArray, rings: FloatArray, most: float,
+def _least_along(
+    a: FloatArray, b: FloatArray, body: int,
+    outline: FloatArray, boxes: FloatArray, rings: FloatArray, limit_m: float,
 ) -> float:  # fmt: skip
-    """Return the least signed distance along a line in space, within 1 um; ``most`` if it is more.
+    """Return the least signed distance along a line in space, within 1 um, at most ``limit_m``.
 
-    ``which`` is 0 for the mandrel, else the number of the ring plus 1.
+    ``body`` is 0 for the mandrel, else the number of the ring plus 1.
     """
-    length = math.sqrt((b[0] - a[0]) ** 2 + (b[1] - a[1]) ** 2 + (b[2] - a[2]) ** 2)
-    best = most
+    length_m = math.sqrt((b[0] - a[0]) ** 2 + (b[1] - a[1]) ** 2 + (b[2] - a[2]) ** 2)
+    least_m = limit_m
     for k in range(2):
-        found = _distance(a, b, float(k), which, line, boxes, rings, most)
-        if found == -math.inf:  # deeper inside than the limit of the search
-            found = _distance(a, b, float(k), which, line, boxes, rings, math.inf)
-        best = min(best, found)
-    if length == 0.0:
-        return best
+        distance_m = _distance(a, b, float(k), body, outline, boxes, rings, limit_m)
+        if distance_m == -math.inf:  # deeper inside than the limit of the search
+            distance_m = _distance(a, b, float(k), body, outline, boxes, rings, math.inf)
+        least_m = min(least_m, distance_m)
+    if length_m == 0.0:
+        return least_m
     # Intervals whose middles are to be tried. One that cannot hold a smaller distance is dropped.
     low, high = np.empty(64), np.empty(64)
     low[0], high[0], count = 0.0, 1.0, 1
     while count:
         count -= 1
         begin, end = low[count], high[count]
-        reach = 0.5 * (end - begin) * length
+        reach_m = 0.5 * (end - begin) * length_m
         middle = 0.5 * (begin + end)
-        found = _distance(a, b, middle, which, line, boxes, rings, best + reach)
-        if found == -math.inf:
-            found = _distance(a, b, middle, which, line, boxes, rings, math.inf)
-        best = min(best, found)
-        if reach > _EXACT_M and found - reach < best - _EXACT_M and count < 62:
+        distance_m = _distance(a, b, middle, body, outline, boxes, rings, least_m + reach_m)
+        if distance_m == -math.inf:
+            distance_m = _distance(a, b, middle, body, outline, boxes, rings, math.inf)
+        least_m = min(least_m, distance_m)
+        if reach_m > _EXACT_M and distance_m - reach_m < least_m - _EXACT_M and count < 62:
             low[count], high[count] = begin, middle
             low[count + 1], high[count + 1] = middle, end
             count += 2
-    return best
+    return least_m
 
 
 @njit(nogil=True)
@@ -131,28 +133,28 @@ def free_fibre(
 
 
 @njit(nogil=True)
-def _room(
+def _least_room(
     ends: FloatArray, leaves: FloatArray, known: bool, sizes: FloatArray,
-    line: FloatArray, boxes: FloatArray, rings: FloatArray,
+    outline: FloatArray, boxes: FloatArray, rings: FloatArray,
 ) -> tuple[float, int]:  # fmt: skip
     """Return the least room of a sample, at most 1 m, and its pair; see ``walk``."""
-    room, pair = 1.0, 0
-    for which in range(len(rings) + 1):
+    room_m, pair = 1.0, 0
+    for body in range(len(rings) + 1):
         for part in range(3):
-            if (part == 1 and sizes[2] == 0.0) or (part == 2 and (not known or which == 0)):
+            if (part == 1 and sizes[2] == 0.0) or (part == 2 and (not known or body == 0)):
                 continue
-            taken = 0.0 if part == 2 else sizes[part] + sizes[3]
+            size_m = 0.0 if part == 2 else sizes[part] + sizes[3]
             # What is further needs no search; below 0 the depth counts.
-            most = taken + max(room, 0.0)
+            limit_m = size_m + max(room_m, 0.0)
             if part == 0:
-                away = _along(ends[0], ends[0], which, line, boxes, rings, most)
+                distance_m = _least_along(ends[0], ends[0], body, outline, boxes, rings, limit_m)
             elif part == 1:
-                away = _along(ends[0], ends[1], which, line, boxes, rings, most)
+                distance_m = _least_along(ends[0], ends[1], body, outline, boxes, rings, limit_m)
             else:
-                away = _along(ends[2], leaves, which, line, boxes, rings, most)
-            if away - taken < room:
-                room, pair = away - taken, 3 * which + part
-    return room, pair
+                distance_m = _least_along(ends[2], leaves, body, outline, boxes, rings, limit_m)
+            if distance_m - size_m < room_m:
+                room_m, pair = distance_m - size_m, 3 * body + part
+    return room_m, pair
 
 
 @njit(nogil=True)
@@ -179,37 +181,37 @@ def walk(
         (n,) written: three times the body, 0 for the mandrel, plus 0 for the eye, 1 for the arm, 2
         for the free fibre.
     """
-    still = np.zeros(6)
-    across = np.array([0.0, 1.0, 0.0])
+    no_rates = np.zeros(6)
+    across_vector = np.array([0.0, 1.0, 0.0])
     ends = np.empty((3, 3))  # the centre of the eye, the end of the arm, the laid point
     leaves = np.empty(3)
-    before = np.full((4, 3), math.inf)
-    room, hint = -math.inf, 0
+    points_before = np.full((4, 3), math.inf)
+    room_m, hint = -math.inf, 0
     for i in range(len(eyes)):
         q = eyes[i]
-        ends[0, 0], ends[0, 1], ends[0, 2], _, _, _ = centre(q, still, payout)
-        ends[1, 0], ends[1, 1], ends[1, 2], _, _, _ = turned(across, q, still)
+        ends[0, 0], ends[0, 1], ends[0, 2], _, _, _ = centre(q, no_rates, payout)
+        ends[1, 0], ends[1, 1], ends[1, 2], _, _, _ = turned(across_vector, q, no_rates)
         for j in range(3):
             ends[1, j] = ends[0, j] + sizes[2] * ends[1, j]
         known = math.isfinite(laid[i, 0])
         if known:
             hint = free_fibre(laid[i], q, table, payout, hint, ends[2], leaves)
-        moved = 0.0
+        moved_m = 0.0
         for k in range(4 if known else 2):
             point = leaves if k == 3 else ends[k]
-            way = 0.0
+            moved2_m2 = 0.0
             for j in range(3):
-                way += (point[j] - before[k, j]) ** 2
-                before[k, j] = point[j]
-            moved = max(moved, math.sqrt(way))
+                moved2_m2 += (point[j] - points_before[k, j]) ** 2
+                points_before[k, j] = point[j]
+            moved_m = max(moved_m, math.sqrt(moved2_m2))
         if not known:
-            before[2, 0] = math.inf
-        room -= moved
+            points_before[2, 0] = math.inf
+        room_m -= moved_m
         limit = min(least, 0.0)
-        if room >= limit:
+        if room_m >= limit:
             continue
-        room, closest = _room(ends, leaves, known, sizes, line, boxes, rings)
-        if room < limit:
-            found[i], pair[i] = -room, closest
-        least = min(least, room)
+        room_m, closest = _least_room(ends, leaves, known, sizes, line, boxes, rings)
+        if room_m < limit:
+            found[i], pair[i] = -room_m, closest
+        least = min(least, room_m)
     return least

@@ -19,7 +19,7 @@ from threadline.laminate.materials import (
 from threadline.winding.product_reader import KeyReader
 
 _KG_PER_TEX_M = 1e-6
-_TWICE = "Leave one of tex, thickness and fibre_volume out: it follows from the others."
+_LEAVE_ONE_OUT = "Leave one of tex, thickness and fibre_volume out: it follows from the others."
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,8 +56,8 @@ class Band:
         """Mass of the resin in a metre of wound band, kg/m."""
         if self.composite is None or self.thickness is None or self.fibre_volume is None:
             return None
-        rest = self.width * self.thickness * (1.0 - self.fibre_volume)
-        return rest * self.composite.resin_density
+        resin_m2 = self.width * self.thickness * (1.0 - self.fibre_volume)
+        return resin_m2 * self.composite.resin_density
 
     def stress(self, tension: float) -> float | None:
         """Return the stress of the fibres, Pa, under a tension, N."""
@@ -80,10 +80,12 @@ def read_materials(reader: KeyReader, content: Mapping[str, Any]) -> Mapping[str
     if not isinstance(rows, list) or not all(isinstance(row, dict) for row in rows):
         reader.refuse("material", "material must be a list of tables", "Write [[material]].")
     for reader.index, row in enumerate(rows):
-        made = material_of(row, known, reader.refuse)
-        if made.name in known:
-            reader.refuse("name", f"there is a material {made.name!r} already", "Rename this one.")
-        known[made.name] = made
+        material = material_of(row, known, reader.refuse)
+        if material.name in known:
+            reader.refuse(
+                "name", f"there is a material {material.name!r} already", "Rename this one."
+            )
+        known[material.name] = material
     reader.index = -1
     return known
 
@@ -137,10 +139,10 @@ def own_band(
         tex = reader.number(row, "tex", "", None).si or None
     # The thickness of the mandrel's layers stays; the fibre volume follows.
     thickness = band.thickness
-    given = Band(band.width, thickness, tex, composite, None)
+    own = Band(band.width, thickness, tex, composite, None)
     if composite is not None and composite.prepreg is not None and thickness is not None:
-        given = Band(band.width, thickness, None, composite, None)
-    return completed(reader, given)
+        own = Band(band.width, thickness, None, composite, None)
+    return completed(reader, own)
 
 
 def completed(reader: KeyReader, band: Band) -> Band:
@@ -160,16 +162,17 @@ def completed(reader: KeyReader, band: Band) -> Band:
     thickness, tex = band.thickness, band.tex
     density = composite.fibre["density"]
     if tex is not None:
-        fibres = _KG_PER_TEX_M * tex / density
+        fibre_m2 = _KG_PER_TEX_M * tex / density
         if share is not None and thickness is not None:
             reader.refuse(
                 "fibre_volume" if composite.prepreg is None else "tex",
-                f"tex, thickness and a fibre volume of {share:.0%} say the same twice", _TWICE,
+                f"tex, thickness and a fibre volume of {share:.0%} say the same twice",
+                _LEAVE_ONE_OUT,
             )  # fmt: skip
         if share is not None:
-            thickness = fibres / (share * band.width)
+            thickness = fibre_m2 / (share * band.width)
         elif thickness is not None:
-            share = fibres / (band.width * thickness)
+            share = fibre_m2 / (band.width * thickness)
             _checked_share(reader, share, "tex")
     elif share is not None and thickness is not None:
         tex = share * band.width * thickness * density / _KG_PER_TEX_M
@@ -179,10 +182,10 @@ def completed(reader: KeyReader, band: Band) -> Band:
 def _checked_share(reader: KeyReader, share: float, key: str) -> None:
     if math.isfinite(share) and 0.0 < share <= MOST_FIBRE_VOLUME:
         return
-    why = "" if key == "fibre_volume" else "tex, width and thickness of the band leave "
+    reason = "" if key == "fibre_volume" else "tex, width and thickness of the band leave "
     reader.refuse(
-        key, f"{why}a fibre volume of {share:.3g}: round fibres fill at most "
+        key, f"{reason}a fibre volume of {share:.3g}: round fibres fill at most "
         f"{MOST_FIBRE_VOLUME:.0%}",
-        'Usual are 50 to 65 %: fibre_volume = "60 %".' if not why
+        'Usual are 50 to 65 %: fibre_volume = "60 %".' if not reason
         else "Correct tex, or give a wider or thicker band.",
     )  # fmt: skip

@@ -26,8 +26,8 @@ from threadline.winding.taut import (
 _SAGITTA_M = 1e-6  # of a chord of the outline
 _MOST_CHORDS = 20_000
 _SAMPLES = 128  # samples of a run for which the layers keep one thickness
-_QUARTER = 0.25  # share of the band between two fibres that are compared with the layers
-_PLACES = 6  # in the width of a band, where a hollow is first looked for
+_COMPARED_SHARE = 0.25  # share of the band between two fibres that are compared with the layers
+_PLACES_PER_BAND = 6  # in the width of a band, where a hollow is first looked for
 _CELLS = 512  # of the meridian for the thickness of layers
 
 
@@ -36,23 +36,24 @@ def outline_of(surface: Surface) -> FloatArray:
     u = np.unique(np.concatenate([np.linspace(0.0, surface.length_m, 65), surface.nodes]))
     while len(u) < _MOST_CHORDS:
         middle = 0.5 * (u[:-1] + u[1:])
-        ends, mids = (
-            np.column_stack([values[:, 0] for values in surface.at(at)]) for at in (u, middle)
+        points, middles = (
+            np.column_stack([values[:, 0] for values in surface.at(places)])
+            for places in (u, middle)
         )
-        chord = np.diff(ends, axis=0)
-        off = mids - ends[:-1]
-        away = np.abs(chord[:, 0] * off[:, 1] - chord[:, 1] * off[:, 0])
-        coarse = away > _SAGITTA_M * np.hypot(*chord.T)
-        if not coarse.any():
+        chord = np.diff(points, axis=0)
+        from_chord = middles - points[:-1]
+        distances = np.abs(chord[:, 0] * from_chord[:, 1] - chord[:, 1] * from_chord[:, 0])
+        is_coarse = distances > _SAGITTA_M * np.hypot(*chord.T)
+        if not is_coarse.any():
             break
-        u = np.sort(np.concatenate([u, middle[coarse]]))
+        u = np.sort(np.concatenate([u, middle[is_coarse]]))
     return u
 
 
 @njit(nogil=True)
 def _grown(
-    bare: FloatArray, normal: FloatArray, u: FloatArray, piece: IntArray, middle: FloatArray,
-    layers: FloatArray, line: FloatArray, boxes: FloatArray,
+    bare_points: FloatArray, normal: FloatArray, u: FloatArray, piece: IntArray, middle: FloatArray,
+    layers: FloatArray, outline: FloatArray, boxes: FloatArray,
 ) -> None:  # fmt: skip
     """Write the closed outline of a mandrel with its layers, and the boxes of its chords.
 
@@ -68,29 +69,34 @@ def _grown(
         (n + 2, 2) and (b, 4), written: see ``apart.walk``.
     """
     last = len(layers) - 1
-    for k in range(len(bare)):
+    for k in range(len(bare_points)):
         cell = piece[k]
         if cell < 0:
-            thick = layers[0]
+            thickness_m = layers[0]
         elif cell >= last:
-            thick = layers[last]
+            thickness_m = layers[last]
         else:
             slope = (layers[cell + 1] - layers[cell]) / (middle[cell + 1] - middle[cell])
-            thick = slope * (u[k] - middle[cell]) + layers[cell]
+            thickness_m = slope * (u[k] - middle[cell]) + layers[cell]
         for j in range(2):
-            line[k + 1, j] = bare[k, j] + thick * normal[k, j]
-    end = len(line) - 1
-    line[0, 0], line[0, 1], line[end, 0], line[end, 1] = line[1, 0], 0.0, line[end - 1, 0], 0.0
+            outline[k + 1, j] = bare_points[k, j] + thickness_m * normal[k, j]
+    end = len(outline) - 1
+    outline[0, 0], outline[0, 1], outline[end, 0], outline[end, 1] = (
+        outline[1, 0],
+        0.0,
+        outline[end - 1, 0],
+        0.0,
+    )
     for box in range(len(boxes)):
         first = box * LEAF
         for j in range(2):
-            low, high = line[first, j], line[first, j]
+            low, high = outline[first, j], outline[first, j]
             for k in range(first + 1, min(first + LEAF, end) + 1):
-                low, high = min(low, line[k, j]), max(high, line[k, j])
+                low, high = min(low, outline[k, j]), max(high, outline[k, j])
             boxes[box, 2 * j], boxes[box, 2 * j + 1] = low, high
 
 
-_PARTS = ("the eye", "the arm", "the free fibre")
+_PART_NAMES = ("the eye", "the arm", "the free fibre")
 
 
 class Clearance:
@@ -158,13 +164,13 @@ class Clearance:
 
         ``eye`` is (6,), ``u`` and ``angle`` are the laid point; see ``hollow_over``.
         """
-        at, to = np.empty(3), np.empty(3)
+        fibre_begin, fibre_end = np.empty(3), np.empty(3)
         surface = self._surface
         table = surface.nodes, surface.x, surface.r
-        free_fibre(np.array([u, angle]), eye, table, self._payout, 0, at, to)
+        free_fibre(np.array([u, angle]), eye, table, self._payout, 0, fibre_begin, fibre_end)
         layers, hull = self._in_cells(), np.empty((3, MOST_PLACES))
         blocks, sizes = highest_in_blocks(layers), self._looked(layers)
-        return float(hollow_over(at, to, u, table, layers, blocks, sizes, 1, hull))
+        return float(hollow_over(fibre_begin, fibre_end, u, table, layers, blocks, sizes, 1, hull))
 
     def _looked(self, layers: FloatArray) -> FloatArray:
         """Return ``sizes`` of ``hollow_over``."""
@@ -200,30 +206,30 @@ class Clearance:
         laid = np.full((count, 3), np.nan)
         if fibre is not None:
             laid[fibre.known] = np.column_stack([fibre.u, fibre.angle, fibre.length_m])[fibre.known]
-        found, self.pair = np.zeros(count), np.zeros(count, dtype=np.int64)
+        too_near_m, self.pair = np.zeros(count), np.zeros(count, dtype=np.int64)
         surface, eyes = self._surface, np.ascontiguousarray(eyes)
         table = surface.nodes, surface.x, surface.r
-        for part in self._parts(count):
+        for samples in self._parts(count):
             layers = self._in_cells()
             self._least = walk(
-                eyes[part], laid[part], table, self._payout, self._sizes, self._line, self._boxes,
-                self._rings, self._least, found[part], self.pair[part],
+                eyes[samples], laid[samples], table, self._payout, self._sizes, self._line,
+                self._boxes, self._rings, self._least, too_near_m[samples], self.pair[samples],
             )  # fmt: skip
             if self._layer and layers.any():
-                thick, coarse = self._layer / self._width, max(self._wide // _PLACES, 1)
-                band = [_QUARTER * self._width, self._compared, thick, coarse]
-                sizes = np.array([*self._looked(layers), *band])
+                layer_m, coarse = self._layer / self._width, max(self._wide // _PLACES_PER_BAND, 1)
+                band_sizes = [_COMPARED_SHARE * self._width, self._compared, layer_m, coarse]
+                sizes = np.array([*self._looked(layers), *band_sizes])
                 self._least = over_layers(
-                    eyes[part], laid[part], table, self._payout, layers, sizes,
-                    self._least, found[part], self.pair[part],
+                    eyes[samples], laid[samples], table, self._payout, layers, sizes,
+                    self._least, too_near_m[samples], self.pair[samples],
                 )  # fmt: skip
                 self._compared = float(sizes[3])
             if fibre is not None and self._layer:
                 wind(
-                    fibre.u[part], fibre.length_m[part], self._edges[1], self._layer,
+                    fibre.u[samples], fibre.length_m[samples], self._edges[1], self._layer,
                     self._latest, self._fresh,
                 )  # fmt: skip
-        return found
+        return too_near_m
 
     def _parts(self, count: int) -> Iterator[slice]:
         """Return the next samples in parts that have one thickness of the layers each.
@@ -245,7 +251,7 @@ class Clearance:
     def words(self, pair: int) -> str:
         """Say which part comes too near to which body."""
         if pair == 0 and self._least < 0.0:
-            fit = f"it would fit with a radius {-1e3 * self._least:.3g} mm smaller"
-            return f"the eye and the mandrel: {fit}"
-        other = "the layers wound before" if pair == PILE else self._names[pair // 3]
-        return f"{_PARTS[pair % 3]} and {other}"
+            fit_text = f"it would fit with a radius {-1e3 * self._least:.3g} mm smaller"
+            return f"the eye and the mandrel: {fit_text}"
+        other_body = "the layers wound before" if pair == PILE else self._names[pair // 3]
+        return f"{_PART_NAMES[pair % 3]} and {other_body}"

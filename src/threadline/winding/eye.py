@@ -49,8 +49,8 @@ def centre(
 
 
 @njit(nogil=True)
-def _round_roller(
-    seen: FloatArray, rate: FloatArray, axis: FloatArray, spin: FloatArray, radius: float
+def _move_round_roller(
+    point: FloatArray, rate: FloatArray, axis: FloatArray, spin: FloatArray, radius: float
 ) -> None:
     """Move the centre of a roller to the point where the fibre leaves it.
 
@@ -67,36 +67,43 @@ def _round_roller(
     radius
         Radius of the roller, m; negative: the fibre passes on the other side.
     """
-    away = np.empty(3)
-    d_away = np.empty(3)
-    beside, d_beside = 0.0, 0.0
+    towards = np.empty(3)
+    d_towards = np.empty(3)
+    along_axis, d_along_axis = 0.0, 0.0
     for j in range(3):
-        beside += axis[j] * seen[j]
-        d_beside += axis[j] * rate[j] + spin[j] * seen[j]
-    square, product = 0.0, 0.0
+        along_axis += axis[j] * point[j]
+        d_along_axis += axis[j] * rate[j] + spin[j] * point[j]
+    distance2, d_distance2_half = 0.0, 0.0
     for j in range(3):
-        away[j] = seen[j] - axis[j] * beside
-        d_away[j] = rate[j] - spin[j] * beside - axis[j] * d_beside
-        square += away[j] * away[j]
-        product += away[j] * d_away[j]
-    distance = math.sqrt(square)
+        towards[j] = point[j] - axis[j] * along_axis
+        d_towards[j] = rate[j] - spin[j] * along_axis - axis[j] * d_along_axis
+        distance2 += towards[j] * towards[j]
+        d_distance2_half += towards[j] * d_towards[j]
+    distance = math.sqrt(distance2)
     if distance <= abs(radius):
         return  # the laid point is within the roller: the clearance says so
-    d_distance = product / distance
+    d_distance = d_distance2_half / distance
     share = abs(radius) / distance
     d_share = -share * d_distance / distance
     root = math.copysign(math.sqrt(1.0 - share * share), radius)
     d_root = -share * d_share / root
-    size = abs(radius)
+    radius_m = abs(radius)
     for j in range(3):
-        away[j] /= distance
-        d_away[j] = (d_away[j] - away[j] * d_distance) / distance
+        towards[j] /= distance
+        d_towards[j] = (d_towards[j] - towards[j] * d_distance) / distance
     for j in range(3):
         k, m = (j + 1) % 3, (j + 2) % 3
-        side = axis[k] * away[m] - axis[m] * away[k]
-        d_side = spin[k] * away[m] - spin[m] * away[k] + axis[k] * d_away[m] - axis[m] * d_away[k]
-        seen[j] += size * (root * side - share * away[j])
-        rate[j] += size * (root * d_side + d_root * side - d_share * away[j] - share * d_away[j])
+        side = axis[k] * towards[m] - axis[m] * towards[k]
+        d_side = (
+            spin[k] * towards[m]
+            - spin[m] * towards[k]
+            + axis[k] * d_towards[m]
+            - axis[m] * d_towards[k]
+        )
+        point[j] += radius_m * (root * side - share * towards[j])
+        rate[j] += radius_m * (
+            root * d_side + d_root * side - d_share * towards[j] - share * d_towards[j]
+        )
 
 
 @njit(nogil=True)
@@ -121,15 +128,25 @@ def ahead(
     spin = np.array(
         [da, dc * cos + dh * sin + v[0] * axis[2], dh * cos - dc * sin - v[0] * axis[1]]
     )
-    seen, rate = np.array([along - x, er - r, ec]), np.array([d_along, vr, vc])
-    _round_roller(seen, rate, axis, spin, payout[6])
+    point, rate = np.array([along - x, er - r, ec]), np.array([d_along, vr, vc])
+    _move_round_roller(point, rate, axis, spin, payout[6])
     # Across on the carrier is square to the axis of a roller.
     a, c, h, da, dc, dh = turned(payout[7:10], q, v)
-    out = np.array([seen[0] - along + x, seen[1] - er + r, seen[2] - ec])
-    flat = np.array([a, c * cos + h * sin, h * cos - c * sin])
-    level, aside = 0.0, 0.0
+    from_centre = np.array([point[0] - along + x, point[1] - er + r, point[2] - ec])
+    across_carrier = np.array([a, c * cos + h * sin, h * cos - c * sin])
+    along_carrier, square_to_carrier = 0.0, 0.0
     for j in range(3):
         k, m = (j + 1) % 3, (j + 2) % 3
-        level += out[j] * flat[j]
-        aside += out[j] * (axis[k] * flat[m] - axis[m] * flat[k])
-    return seen[0], seen[1], seen[2], rate[0], rate[1], rate[2], math.atan2(aside, level)
+        along_carrier += from_centre[j] * across_carrier[j]
+        square_to_carrier += from_centre[j] * (
+            axis[k] * across_carrier[m] - axis[m] * across_carrier[k]
+        )
+    return (
+        point[0],
+        point[1],
+        point[2],
+        rate[0],
+        rate[1],
+        rate[2],
+        math.atan2(square_to_carrier, along_carrier),
+    )

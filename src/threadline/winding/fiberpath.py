@@ -28,11 +28,13 @@ FRICTION = 0.2
 NAMED = f"friction {FRICTION:g} assumed"
 """Words in the name of a product: the friction is assumed, and not from the planner's file."""
 _MAX_BYTES = 20_000_000
-_BANDS = 2.0  # widths of the band by which a mandrel is longer than FiberPath's winding length
+_MARGIN_BANDS = (
+    2.0  # widths of the band by which a mandrel is longer than FiberPath's winding length
+)
 ANGLES = 1.0, 89.0
 """Least and largest winding angle of a helical layer, degrees."""
-_SPARE = 1.05  # times the room for a turn by friction
-_WHOLE = 1e-6
+_ROOM_FACTOR = 1.05  # times the room for a turn by friction
+_WHOLE_SLOTS = 1e-6
 
 Content = dict[str, Any]
 
@@ -89,35 +91,36 @@ class WindFile:
             widths that every mandrel gets.
         """
         radius, length, width, end = self.radius, self.long, self.width, self.end
-        more = _BANDS * width + room
+        margin_mm = _MARGIN_BANDS * width + room
         if self.nose:
             # Half of the radius at which the lowest geodesic turns back: no fibre comes nearer.
-            tip = min([math.sin(math.radians(a)) for a in self.angles()] or [1.0])
-            opening = max(0.5 * radius * tip, 0.51 * width)
+            sine = min([math.sin(math.radians(a)) for a in self.angles()] or [1.0])
+            opening = max(0.5 * radius * sine, 0.51 * width)
             nose = {"kind": "nose", "radius": radius, "height": length, "opening": opening}
-            base = {"kind": "cylinder", "radius": radius, "length": more}
+            base = {"kind": "cylinder", "radius": radius, "length": margin_mm}
             parts: list[Content] = [base, nose | {"pole": "right"}]
             covered = None
         else:
             slope = (end - radius) / length
             parts = [
-                {"kind": "cone", "radius": radius - more * slope, "length": length + 2.0 * more,
-                 "end_radius": max(end + more * slope, 0.1 * end)}
+                {"kind": "cone", "radius": radius - margin_mm * slope,
+                 "length": length + 2.0 * margin_mm,
+                 "end_radius": max(end + margin_mm * slope, 0.1 * end)}
             ]  # fmt: skip
-            covered = {"begin": f"{more!r} mm", "end": f"{more + length!r} mm"}
-        written = [
+            covered = {"begin": f"{margin_mm!r} mm", "end": f"{margin_mm + length!r} mm"}
+        part_rows = [
             {key: f"{value!r} mm" if isinstance(value, float) else value
              for key, value in part.items()}
             for part in parts
         ]  # fmt: skip
-        found: Content = {
+        content: Content = {
             "name": f"{self.path.stem} ({NAMED})",
-            "mandrel": {"at": f"{-more!r} mm"},
-            "part": written,
+            "mandrel": {"at": f"{-margin_mm!r} mm"},
+            "part": part_rows,
             "band": {"width": f"{width!r} mm", "thickness": f"{self.thickness!r} mm"},
             "friction": {"value": FRICTION},
         }
-        return found if covered is None else found | {"coverage": covered}
+        return content if covered is None else content | {"coverage": covered}
 
     def refuse(self, what: str, remedy: str) -> NoReturn:
         """Raise a ``JobError`` about the file."""
@@ -125,19 +128,19 @@ class WindFile:
 
     def table(self, name: str) -> Mapping[str, Any]:
         """Return a member that is an object."""
-        found = self.content.get(name)
-        if not isinstance(found, dict):
+        member = self.content.get(name)
+        if not isinstance(member, dict):
             self.refuse(
                 f"{name} is missing",
                 'FiberPath writes {"mandrelParameters": {"diameter": 70, ...}, ...}.',
             )
-        return found
+        return member
 
     def length(self, table: Mapping[str, Any], key: str) -> float:
         """Return a length above 0, mm."""
         value = table.get(key)
-        good = isinstance(value, int | float) and not isinstance(value, bool)
-        if not good or not 1e-6 < float(value) < 1e6:  # type: ignore[arg-type]
+        is_number = isinstance(value, int | float) and not isinstance(value, bool)
+        if not is_number or not 1e-6 < float(value) < 1e6:  # type: ignore[arg-type]
             self.refuse(
                 f"{key} is {str(value)[:40]}, not a length above 0 mm", f'Write "{key}": 70.'
             )
@@ -154,8 +157,8 @@ class WindFile:
 
 def circuits_of(radius_mm: float, width_mm: float, angle_deg: float) -> int:
     """Return the number of circuits that FiberPath winds."""
-    around = 2.0 * math.pi * radius_mm
-    return math.ceil(around / (width_mm / math.cos(math.radians(angle_deg))))
+    circumference_mm = 2.0 * math.pi * radius_mm
+    return math.ceil(circumference_mm / (width_mm / math.cos(math.radians(angle_deg))))
 
 
 def layered(path: Path, margin: float) -> Content:
@@ -181,24 +184,24 @@ def layered(path: Path, margin: float) -> Content:
         wind.refuse(
             "layers is no list of layers", 'Write "layers": [{"windType": "helical", ...}].'
         )
-    lowest = min((math.sin(math.radians(a)) for a in wind.angles()), default=1.0)
-    room = _SPARE * wind.radius / (margin * FRICTION) * (1.0 / lowest - 1.0)
+    least_sine = min((math.sin(math.radians(a)) for a in wind.angles()), default=1.0)
+    room = _ROOM_FACTOR * wind.radius / (margin * FRICTION) * (1.0 / least_sine - 1.0)
     if wind.end < wind.radius:  # towards the narrow end the fibre turns of itself
         room = min(room, 0.5 * wind.long * wind.end / (wind.radius - wind.end))
     content = wind.product(room)
     begin = -float(content["mandrel"]["at"].removesuffix(" mm"))
-    wide = wind.radius + begin * (wind.radius - wind.end) / wind.long
+    angle_radius = wind.radius + begin * (wind.radius - wind.end) / wind.long
     layers = [
-        _row(wind, number, row, begin, wide if number == 1 else wind.radius)
+        _row(wind, number, row, begin, angle_radius if number == 1 else wind.radius)
         for number, row in enumerate(rows, start=1)
     ]
     return content | {"layer": layers}
 
 
 def _row(
-    wind: WindFile, number: int, row: Mapping[str, Any], begin: float, wide: float
+    wind: WindFile, number: int, row: Mapping[str, Any], begin: float, angle_radius: float
 ) -> dict[str, Any]:
-    """Return a ``[[layer]]`` whose angle holds at the radius ``wide``, mm."""
+    """Return a ``[[layer]]`` whose angle holds at the radius ``angle_radius``, mm."""
     kind = row.get("windType")
     if kind == "hoop":
         if row.get("terminal", False):
@@ -222,22 +225,22 @@ def _row(
             'Write "frictionLambda": 0.',
         )
     count = circuits_of(wind.radius, wind.width, angle)
-    sine = wind.radius * math.sin(math.radians(angle)) / wide
-    here = angle if wide == wind.radius else math.degrees(math.asin(sine))
-    found: Content = {"angle": f"{here!r} deg", "circuits": count}
+    sine = wind.radius * math.sin(math.radians(angle)) / angle_radius
+    angle_deg = angle if angle_radius == wind.radius else math.degrees(math.asin(sine))
+    layer: Content = {"angle": f"{angle_deg!r} deg", "circuits": count}
     if wind.nose:
-        found["begin"] = f"{begin!r} mm"
+        layer["begin"] = f"{begin!r} mm"
     pattern, skip = (_number(wind, number, row, key) for key in ("patternNumber", "skipIndex"))
     slots = count * _number(wind, number, row, "lockDegrees") / 180.0
-    if pattern == count and abs(slots - round(slots)) < _WHOLE * count:
-        found["shift"] = (round(slots) + round(skip)) % count
-    return found
+    if pattern == count and abs(slots - round(slots)) < _WHOLE_SLOTS * count:
+        layer["shift"] = (round(slots) + round(skip)) % count
+    return layer
 
 
 def _number(wind: WindFile, number: int, row: Mapping[str, Any], key: str) -> float:
     value = row.get(key)
-    good = isinstance(value, int | float) and not isinstance(value, bool)
-    if not good or not 0.0 < float(value) < 1e6:  # type: ignore[arg-type]
+    is_number = isinstance(value, int | float) and not isinstance(value, bool)
+    if not is_number or not 0.0 < float(value) < 1e6:  # type: ignore[arg-type]
         wind.refuse(
             f"layer {number}: {key} is {str(value)[:40]}, not a number above 0", f'Write "{key}".'
         )

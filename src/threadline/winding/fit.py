@@ -12,13 +12,13 @@ from threadline.winding.laying import KNOWN_AFTER, LAID, LIFTED
 from threadline.winding.replay import Fibre, Replay
 from threadline.winding.surface import Surface
 
-_MOST = 4000  # positions of the eye with which radii are tried
-_TRIED, _FINER, _ROUNDS = 15, 5, 3
+_MAX_EYES = 4000  # positions of the eye with which radii are tried
+_COARSE_RADII, _FINE_RADII, _ROUNDS = 15, 5, 3
 _OFF_M = 5e-4  # between the eye and the largest mandrel that is tried
-_ALL = 0.99  # share of the fibre that must be steered within the friction
+_NEARLY_ALL = 0.99  # share of the fibre that must be steered within the friction
 _NO_FRICTION_LIMIT = 1e9
 _NEARLY = 0.25, 3.0  # band widths by which a pattern that is nearly closed misses its begin
-_TURNED = 1e-3  # rad; less is no turn
+_LEAST_TURN = 1e-3  # rad; less is no turn
 
 
 class Witness:
@@ -56,51 +56,51 @@ class Witness:
             return
         chain = eyes if self._last is None else np.vstack([self._last, eyes])
         self._last = chain[-1:]
-        moves = np.diff(chain[:, 0]) != 0.0
+        is_turning = np.diff(chain[:, 0]) != 0.0
         # Both ends of a block that turns it: a program may be a single block.
-        turns = np.append(moves, False) | np.insert(moves, 0, False)
+        of_turning = np.append(is_turning, False) | np.insert(is_turning, 0, False)
         eyes = chain
-        if sum(map(len, self.eyes)) < _MOST:
-            self.eyes.append(eyes[turns][:_MOST])
+        if sum(map(len, self.eyes)) < _MAX_EYES:
+            self.eyes.append(eyes[of_turning][:_MAX_EYES])
         # Only while it turns: the eye may come from anywhere.
-        eyes = eyes[turns]
+        eyes = eyes[of_turning]
         along, across, up = self._places(eyes)
         for ends, column in ((self._turn, eyes[:, 0]), (self._along, along)):
             ends[0] = min(ends[0], float(column.min(initial=np.inf)))
             ends[1] = max(ends[1], float(column.max(initial=-np.inf)))
-        above = (along >= self._x[0]) & (along <= self._x[-1])
-        room = np.hypot(across, up) - np.interp(along, self._x, self._r)
+        over_mandrel = (along >= self._x[0]) & (along <= self._x[-1])
+        room_m = np.hypot(across, up) - np.interp(along, self._x, self._r)
         self._count += len(eyes)
-        self._beside += int((~above).sum())
-        self._inside += int((room[above] < 0.0).sum())
-        self._room_m = min(self._room_m, float(room[above].min(initial=np.inf)))
-        laid = fibre.state == LAID
-        length = np.where(laid, fibre.length_m, np.nan)
-        steps = np.diff(length, prepend=self._length_m if laid[0] else np.nan)
+        self._beside += int((~over_mandrel).sum())
+        self._inside += int((room_m[over_mandrel] < 0.0).sum())
+        self._room_m = min(self._room_m, float(room_m[over_mandrel].min(initial=np.inf)))
+        is_laid = fibre.state == LAID
+        length = np.where(is_laid, fibre.length_m, np.nan)
+        steps = np.diff(length, prepend=self._length_m if is_laid[0] else np.nan)
         shares = np.where(np.isfinite(steps), steps / np.maximum(fibre.free_m, 1e-9), np.nan)
-        self._length_m = float(fibre.length_m[-1]) if laid[-1] else self._length_m
+        self._length_m = float(fibre.length_m[-1]) if is_laid[-1] else self._length_m
         # Sums that begin anew where nothing is laid.
-        broken = np.isnan(shares)
-        sums = np.cumsum(np.where(broken, 0.0, shares))
-        start = np.maximum.accumulate(np.where(broken, sums, -self._in_a_row))
-        self._longest = max(self._longest, float((sums - start).max()))
-        self._in_a_row = float(sums[-1] - start[-1])
+        is_broken = np.isnan(shares)
+        free_lengths = np.cumsum(np.where(is_broken, 0.0, shares))
+        run_begin = np.maximum.accumulate(np.where(is_broken, free_lengths, -self._in_a_row))
+        self._longest = max(self._longest, float((free_lengths - run_begin).max()))
+        self._in_a_row = float(free_lengths[-1] - run_begin[-1])
         self._free_m = min(self._free_m, float(np.nanmin(fibre.free_m, initial=np.inf)))
 
     def _places(self, eyes: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return the pay-out point along, across and up, m, as ``eye.centre`` computes it."""
         sin, cos = np.sin(eyes[:, 4:6]), np.cos(eyes[:, 4:6])
         x, y, z = self._payout_m
-        rolled, up = x * cos[:, 1] + z * sin[:, 1], z * cos[:, 1] - x * sin[:, 1]
+        forward, up = x * cos[:, 1] + z * sin[:, 1], z * cos[:, 1] - x * sin[:, 1]
         return (
-            eyes[:, 1] + rolled * cos[:, 0] - y * sin[:, 0],
-            eyes[:, 2] + rolled * sin[:, 0] + y * cos[:, 0],
+            eyes[:, 1] + forward * cos[:, 0] - y * sin[:, 0],
+            eyes[:, 2] + forward * sin[:, 0] + y * cos[:, 0],
             eyes[:, 3] + up,
         )
 
     def reason(self) -> str:
         """Explain why the place of the fibre is never known."""
-        if not self._turn[1] - self._turn[0] > _TURNED:
+        if not self._turn[1] - self._turn[0] > _LEAST_TURN:
             return "the mandrel never turns, so that nothing is laid"
         if self._beside == self._count:
             low, high = 1e3 * self._along
@@ -122,16 +122,16 @@ class Witness:
 
     def fit(self, tool: Tool, friction: float, tied: float | None) -> str:
         """Say which radius of the mandrel would fit the program; empty if none is found."""
-        if not self.eyes or not self._turn[1] - self._turn[0] > _TURNED:
+        if not self.eyes or not self._turn[1] - self._turn[0] > _LEAST_TURN:
             return ""
-        eyes = np.vstack(self.eyes)[:_MOST]
-        found = fitting_radius(self._surface, tool, eyes, friction, tied, self._room_m)
-        if found is None:
+        eyes = np.vstack(self.eyes)[:_MAX_EYES]
+        larger_m = fitting_radius(self._surface, tool, eyes, friction, tied, self._room_m)
+        if larger_m is None:
             return ""
-        widest = 1e3 * (float(self._r.max()) + found)
-        size = "smaller" if found < 0.0 else "larger"
+        widest = 1e3 * (float(self._r.max()) + larger_m)
+        size = "smaller" if larger_m < 0.0 else "larger"
         return (
-            f"the program would fit a mandrel with a radius {abs(1e3 * found):.2g} mm {size}, "
+            f"the program would fit a mandrel with a radius {abs(1e3 * larger_m):.2g} mm {size}, "
             f"{widest:.4g} mm at its widest"
         )
 
@@ -153,9 +153,9 @@ def fitting_radius(
         Least radial distance from mandrel to eye, m.
     """
 
-    def steered(by: float) -> tuple[float, float]:
+    def steering(larger_m: float) -> tuple[float, float]:
         """Return the mean steering of a mandrel, and the share of fibre that keeps its place."""
-        replay = Replay(surface.grown(by), tool, _NO_FRICTION_LIMIT, tied)
+        replay = Replay(surface.grown(larger_m), tool, _NO_FRICTION_LIMIT, tied)
         fibre = replay.feed(eyes)
         weight = np.abs(np.diff(fibre.length_m, prepend=np.nan))
         steer = np.abs(fibre.steer)
@@ -172,22 +172,22 @@ def fitting_radius(
     high = min(room_m, float(surface.r[:, 0].max())) - _OFF_M
     if not low < high:
         return None
-    tried = np.linspace(low, high, _TRIED)
-    best, mean, share = 0.0, *steered(0.0)
-    now = mean
+    radii_m = np.linspace(low, high, _COARSE_RADII)
+    best_m, mean, share = 0.0, *steering(0.0)
+    present_mean = mean
     for _ in range(_ROUNDS):
-        for by in tried.tolist():
-            found, kept = steered(by)
-            if found < mean:
-                best, mean, share = by, found, kept
-        step = float(tried[1] - tried[0])
-        near = np.linspace(best - step, best + step, _FINER + 2)[1:-1]
-        tried = near[(near > low) & (near < high)]
-        if len(tried) < 2:
+        for larger_m in radii_m.tolist():
+            tried_mean, tried_share = steering(larger_m)
+            if tried_mean < mean:
+                best_m, mean, share = larger_m, tried_mean, tried_share
+        step = float(radii_m[1] - radii_m[0])
+        finer_m = np.linspace(best_m - step, best_m + step, _FINE_RADII + 2)[1:-1]
+        radii_m = finer_m[(finer_m > low) & (finer_m < high)]
+        if len(radii_m) < 2:
             break
-    if share < _ALL or mean > 0.5 * now or best == 0.0:
+    if share < _NEARLY_ALL or mean > 0.5 * present_mean or best_m == 0.0:
         return None
-    return best
+    return best_m
 
 
 def turn_error(off: float, whole: float, bands: float) -> str:

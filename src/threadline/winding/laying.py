@@ -28,16 +28,18 @@ to it.
 KNOWN_AFTER = 5.0
 """Free lengths after which a wrong start no longer counts: exp(-5) of its error is left."""
 _ROTATION = 0.08  # rad, largest rotation in a step
-_SHARE = 0.12  # largest motion of the eye in a step, as a share of the free length
+_EYE_SHARE = 0.12  # largest motion of the eye in a step, as a share of the free length
 _BENT = 0.15  # rad, largest bend of the fibre in a step
 _MOST_STEPS = 10_000  # in a block
 _SLACK_M = 5e-5  # length unwound in one go; less is no lifting, as a tow is thicker
 _FLAT = 1e-6  # 1/m, least normal curvature on which a fibre lies
 _WINDOW_M = 5e-4  # a block that lays less than this is judged with the blocks after it
-_ALONG = 48  # places along the free fibre where it is compared with the mandrel
+_FIBRE_PLACES = 48  # places along the free fibre where it is compared with the mandrel
 _ROUNDS = 8  # Newton steps to a tangent of mandrel and roller
-_TAUT = 0.02  # rad between the fibre and the tangent plane: a taut fibre is in it
-_LOOKS = 16  # failed searches in successive blocks, before the eye must move on between searches
+_TAUT_RAD = 0.02  # rad between the fibre and the tangent plane: a taut fibre is in it
+_FREE_SEARCHES = (
+    16  # failed searches in successive blocks, before the eye must move on between searches
+)
 _WAIT_M = 1e-3  # travel of the eye before the next search, doubled by each failed search
 _WAIT_SHARE = 0.25  # longest such travel, as a share of the eye's distance from the axis
 _TOUCH_M = 1e-6  # a free fibre that is this much below the surface touches it
@@ -122,14 +124,14 @@ def _steps(ds: float, out: FloatArray, v: FloatArray, radius: float) -> int:
     """Return the number of steps for a block with rates ``out`` at its start."""
     vn, vb, vt, free = out[4], out[3], out[12], out[6]
     speed = math.sqrt(vn * vn + vb * vb + vt * vt)
-    turned = max(abs(v[0]) / _ROTATION, speed / (_SHARE * free), abs(v[4]) / _ROTATION)
-    bent = abs(ds) * max(abs(out[5]), 1.0 / radius) / _BENT
-    count = max(turned, bent, abs(v[5]) / _ROTATION)
+    by_rotation = max(abs(v[0]) / _ROTATION, speed / (_EYE_SHARE * free), abs(v[4]) / _ROTATION)
+    by_bend = abs(ds) * max(abs(out[5]), 1.0 / radius) / _BENT
+    count = max(by_rotation, by_bend, abs(v[5]) / _ROTATION)
     return int(min(max(math.ceil(count), 1.0), float(_MOST_STEPS)))
 
 
 @njit(nogil=True)
-def _at(
+def _meridian_at_x(
     x: float, place: float, tables: Tables, hint: int
 ) -> tuple[int, float, float, float, float]:
     """Return piece, u, x, radius and cosine of the meridian at the axial place ``x``.
@@ -151,16 +153,16 @@ def _at(
 
 
 @njit(nogil=True)
-def _inside(u: float, theta: float, q: FloatArray, tables: Tables, hint: int) -> bool:
+def _eye_inside(u: float, theta: float, q: FloatArray, tables: Tables, hint: int) -> bool:
     """Return whether the pay-out point, seen from a laid point, is inside the mandrel."""
     hint, x0, r0, _, _, _, _ = meridian(tables.nodes, tables.x, tables.r, u, hint)
     dx, dr, dc = ahead(x0, r0, theta + q[0], q, q, tables.payout)[:3]
-    hint, _, x, r, _ = _at(x0 + dx, u, tables, hint)
+    hint, _, x, r, _ = _meridian_at_x(x0 + dx, u, tables, hint)
     return abs(x - x0 - dx) < 1e-6 and math.hypot(r0 + dr, dc) < r
 
 
 @njit(nogil=True)
-def _bridge(
+def _touches_ahead(
     u: float, theta: float, q: FloatArray, tables: Tables, hint: int, out: FloatArray
 ) -> bool:
     """Return whether the free fibre touches the mandrel ahead of the place where it leaves it.
@@ -170,22 +172,22 @@ def _bridge(
     """
     hint, x0, r0, _, _, _, _ = meridian(tables.nodes, tables.x, tables.r, u, hint)
     dx, dr, dc = ahead(x0, r0, theta + q[0], q, q, tables.payout)[:3]
-    deepest, at_u, at_angle, height, highest = 0.0, 0.0, 0.0, 0.0, 0.0
+    deepest_m, at_u, at_angle, height, highest = 0.0, 0.0, 0.0, 0.0, 0.0
     place = u
-    for k in range(1, _ALONG):
-        share = k / _ALONG
+    for k in range(1, _FIBRE_PLACES):
+        share = k / _FIBRE_PLACES
         x = x0 + share * dx
-        hint, place, px, r, cb = _at(x, place, tables, hint)
+        hint, place, px, r, cb = _meridian_at_x(x, place, tables, hint)
         radius = math.hypot(r0 + share * dr, share * dc)
-        over = (radius - r) * cb
+        over_m = (radius - r) * cb
         if abs(px - x) > 1e-6:
             continue  # beyond the end of the mandrel
-        highest = max(highest, over)
-        if over < deepest:
-            deepest, at_u, height = over, place, highest
+        highest = max(highest, over_m)
+        if over_m < deepest_m:
+            deepest_m, at_u, height = over_m, place, highest
             at_angle = theta + math.atan2(share * dc, r0 + share * dr)
     out[0], out[1], out[2] = at_u, at_angle, height
-    return deepest < -_TOUCH_M and height > _TOUCH_M
+    return deepest_m < -_TOUCH_M and height > _TOUCH_M
 
 
 @njit(nogil=True)
@@ -217,10 +219,10 @@ def _step(
     for _ in range(2):
         hint = _rates(u, theta, w, v, tables, hint, work[4])
         free = work[4, 6]
-        back = min(max(work[4, 9] / (free * work[4, 5]), -0.1 * free), 0.1 * free)
-        u += back * work[4, 7] / work[4, 13]
-        theta += back * work[4, 8] / work[4, 10]
-        ds += back
+        correction = min(max(work[4, 9] / (free * work[4, 5]), -0.1 * free), 0.1 * free)
+        u += correction * work[4, 7] / work[4, 13]
+        theta += correction * work[4, 8] / work[4, 10]
+        ds += correction
     return u, theta, ds, hint
 
 
@@ -255,11 +257,11 @@ def lay(  # noqa: PLR0915 - one loop over the blocks; calls would cost a third o
         n, or the block in which the fibre ran off the mandrel or was unwound by a free length.
     """
     count = len(eyes) - 1
-    work, v, q, touched = np.empty((6, 15)), np.empty(6), np.empty(6), np.empty(3)
+    work, v, q, touch = np.empty((6, 15)), np.empty(6), np.empty(6), np.empty(3)
     u, theta, length = start[0], start[1], start[2]
-    since, unwound, hint, slack = start[3], start[4], int(start[5]), start[6]
+    free_lengths, unwound, hint, slack = start[3], start[4], int(start[5]), start[6]
     area, lengthwise, low, high = start[7], start[8], start[9], start[10]
-    held = start[11]
+    was_known = start[11]
     last = tables.nodes[-1]
     for i in range(first, count):
         for j in range(6):
@@ -267,8 +269,8 @@ def lay(  # noqa: PLR0915 - one loop over the blocks; calls would cost a third o
             q[j] = eyes[i, j]
         hint = _rates(u, theta, q, v, tables, hint, work[0])
         steps = _steps(work[0, 2], work[0], v, work[0, 10])
-        h, begin, taken_up, wrap = 1.0 / steps, length, work[0, 6], work[0, 14]
-        state, peeled, height, longest = LAID, 0.0, 0.0, work[0, 6]
+        h, length_before, free_before, wrap = 1.0 / steps, length, work[0, 6], work[0, 14]
+        state, peeled_m, height, longest = LAID, 0.0, 0.0, work[0, 6]
         for step in range(steps):
             if step:
                 for j in range(6):
@@ -276,13 +278,15 @@ def lay(  # noqa: PLR0915 - one loop over the blocks; calls would cost a third o
                 hint = _rates(u, theta, q, v, tables, hint, work[0])
             u, theta, ds, hint = _step(u, theta, q, v, h, tables, work, hint)
             if not (work[4, 5] > _FLAT and work[0, 5] > _FLAT and math.isfinite(u + theta)):
-                state, peeled = LIFTED, work[0, 6]
+                state, peeled_m = LIFTED, work[0, 6]
                 break
             if u < 0.0 or u > last:
                 state = OFF
                 break
-            if abs(work[4, 9]) > _TAUT * work[4, 6] and _inside(u, theta, work[5], tables, hint):
-                state, since = SUNK, 0.0
+            if abs(work[4, 9]) > _TAUT_RAD * work[4, 6] and _eye_inside(
+                u, theta, work[5], tables, hint
+            ):
+                state, free_lengths = SUNK, 0.0
                 break
             length += ds
             lengthwise += ds
@@ -294,58 +298,58 @@ def lay(  # noqa: PLR0915 - one loop over the blocks; calls would cost a third o
                     low, high = min(low, ratio), max(high, ratio)
             longest = max(longest, work[4, 6])
             if ds > 0.0:
-                since += ds / work[4, 6]
+                free_lengths += ds / work[4, 6]
                 unwound = max(unwound - ds, 0.0)
             else:
                 if unwound == 0.0:
-                    held = 1.0 if since >= KNOWN_AFTER else 0.0
+                    was_known = 1.0 if free_lengths >= KNOWN_AFTER else 0.0
                 unwound -= ds
-                peeled = max(peeled, unwound)
-        if peeled > _SLACK_M:
+                peeled_m = max(peeled_m, unwound)
+        if peeled_m > _SLACK_M:
             state = LIFTED
         if not tables.convex and state == LAID:
             for j in range(6):
                 q[j] = eyes[i + 1, j]
-            if _bridge(u, theta, q, tables, hint, touched):
-                state, height = BRIDGED, touched[2]
-                u, theta = touched[0], touched[1]
-        used = length - begin + work[4, 6] - taken_up
+            if _touches_ahead(u, theta, q, tables, hint, touch):
+                state, height = BRIDGED, touch[2]
+                u, theta = touch[0], touch[1]
+        used_m = length - length_before + work[4, 6] - free_before
         if tables.payout[6] != 0.0:
-            turned = work[4, 14] - wrap
-            used += tables.payout[6] * math.atan2(math.sin(turned), math.cos(turned))
-        slack = max(slack - used, 0.0)
-        mean = math.nan
-        ends = group[i + 1] != group[i]
-        if ends and lengthwise >= _WINDOW_M:
-            mean = area / lengthwise
+            roller_turn = work[4, 14] - wrap
+            used_m += tables.payout[6] * math.atan2(math.sin(roller_turn), math.cos(roller_turn))
+        slack = max(slack - used_m, 0.0)
+        mean_steer = math.nan
+        group_ends = group[i + 1] != group[i]
+        if group_ends and lengthwise >= _WINDOW_M:
+            mean_steer = area / lengthwise
         laid.state[i] = state
         laid.place[i, 0] = u
         laid.place[i, 1] = theta
         laid.place[i, 2] = length
         laid.place[i, 3] = longest
-        laid.place[i, 4] = since
-        laid.place[i, 5] = height if state == BRIDGED else peeled
+        laid.place[i, 4] = free_lengths
+        laid.place[i, 5] = height if state == BRIDGED else peeled_m
         laid.place[i, 6] = slack
         laid.place[i, 7] = math.atan2(work[4, 8], work[4, 7])
-        laid.place[i, 8] = used
-        laid.place[i, 9] = held
-        laid.steer[i, 0] = mean
+        laid.place[i, 8] = used_m
+        laid.place[i, 9] = was_known
+        laid.steer[i, 0] = mean_steer
         laid.steer[i, 1] = low
         laid.steer[i, 2] = high
         if state in (LIFTED, BRIDGED):
-            since = 0.0
-        if ends and not math.isnan(mean):
-            if abs(mean) > tables.friction and since >= KNOWN_AFTER:
-                since = 0.0
+            free_lengths = 0.0
+        if group_ends and not math.isnan(mean_steer):
+            if abs(mean_steer) > tables.friction and free_lengths >= KNOWN_AFTER:
+                free_lengths = 0.0
             area, lengthwise, low, high = 0.0, 0.0, math.inf, -math.inf
-        lost = state == LIFTED and peeled >= work[4, 6]
-        if state in (OFF, SUNK) or lost or not math.isfinite(u + theta):
+        is_lost = state == LIFTED and peeled_m >= work[4, 6]
+        if state in (OFF, SUNK) or is_lost or not math.isfinite(u + theta):
             start[2], start[6] = length, slack
             return i
     start[0], start[1], start[2] = u, theta, length
-    start[3], start[4], start[5], start[6] = since, unwound, float(hint), slack
+    start[3], start[4], start[5], start[6] = free_lengths, unwound, float(hint), slack
     start[7], start[8], start[9], start[10] = area, lengthwise, low, high
-    start[11] = held
+    start[11] = was_known
     return count
 
 
@@ -370,12 +374,12 @@ def leads(
     found
         (6,) m per m or rad.
     """
-    unit = work[1, :6]
-    unit[:] = 0.0
+    unit_rate = work[1, :6]
+    unit_rate[:] = 0.0
     for k in range(6):
-        unit[k] = 1.0
-        _rates(state[0], state[1], eye, unit, tables, int(state[5]), work[0])
-        unit[k] = 0.0
+        unit_rate[k] = 1.0
+        _rates(state[0], state[1], eye, unit_rate, tables, int(state[5]), work[0])
+        unit_rate[k] = 0.0
         found[k] = work[0, 12]
 
 
@@ -395,30 +399,30 @@ def looks(eye: FloatArray, rate: FloatArray, tables: Tables, places: FloatArray)
     FloatArray
         (m, 2, 3) angle, v . n and v . b of each tangent; NaN where there is none.
     """
-    found = np.full((len(places), 2, 3), np.nan)
-    out = np.empty(15)
+    tangents = np.full((len(places), 2, 3), np.nan)
+    rates = np.empty(15)
     along, across, up = centre(eye, rate, tables.payout)[:3]
-    away = math.sqrt(across * across + up * up)
-    at = math.atan2(up, across) - eye[0]
+    distance_m = math.sqrt(across * across + up * up)
+    eye_angle = math.atan2(up, across) - eye[0]
     hint = 0
     for i in range(len(places)):
         hint, x, r, cb, sb, _, _ = meridian(tables.nodes, tables.x, tables.r, places[i], hint)
-        cos = (r + sb * (along - x) / cb) / away
+        cos = (r + sb * (along - x) / cb) / distance_m
         if abs(cos) >= 1.0:
             continue
         for side in range(2):
-            theta = at - math.acos(cos) if side == 0 else at + math.acos(cos)
-            hint = _rates(places[i], theta, eye, rate, tables, hint, out)
+            theta = eye_angle - math.acos(cos) if side == 0 else eye_angle + math.acos(cos)
+            hint = _rates(places[i], theta, eye, rate, tables, hint, rates)
             # On a roller the pay-out point depends on the place of the tangent.
             for _ in range(_ROUNDS if tables.payout[6] != 0.0 else 0):
-                back = out[9] / (cb * out[6] * out[8])
-                theta += min(max(back, -0.3), 0.3)
-                hint = _rates(places[i], theta, eye, rate, tables, hint, out)
-            if out[5] > _FLAT:
-                found[i, side, 0] = theta
-                found[i, side, 1] = out[4]
-                found[i, side, 2] = out[3]
-    return found
+                correction = rates[9] / (cb * rates[6] * rates[8])
+                theta += min(max(correction, -0.3), 0.3)
+                hint = _rates(places[i], theta, eye, rate, tables, hint, rates)
+            if rates[5] > _FLAT:
+                tangents[i, side, 0] = theta
+                tangents[i, side, 1] = rates[4]
+                tangents[i, side, 2] = rates[3]
+    return tangents
 
 
 @njit(nogil=True)
@@ -429,7 +433,7 @@ def first_look(
 
     Of all ``places`` with a tangent the one with the least steering is taken. Without any, the
     block is the number of blocks and the row is -1. An eye beside the mandrel finds tangents in
-    every block and loses the fibre at once. After ``_LOOKS`` searches in a row the eye must
+    every block and loses the fibre at once. After ``_FREE_SEARCHES`` searches in a row the eye must
     therefore travel for a while before the next search (``_WAIT_M``, ``_WAIT_SHARE``).
 
     Parameters
@@ -443,23 +447,25 @@ def first_look(
         rate = chain[block + 1] - chain[block]
         if not rate.any():
             continue
-        if waited[0] > _LOOKS:
-            away = math.hypot(chain[block, 2] + tables.payout[1], chain[block, 3])
-            way = math.sqrt(rate[1] ** 2 + rate[2] ** 2 + rate[3] ** 2 + (rate[0] * away) ** 2)
-            waited[1] += way
-            doubled = 2.0 ** min(waited[0] - _LOOKS, 20.0)
-            if waited[1] < min(_WAIT_M * doubled, _WAIT_SHARE * away):
+        if waited[0] > _FREE_SEARCHES:
+            distance_m = math.hypot(chain[block, 2] + tables.payout[1], chain[block, 3])
+            travel_m = math.sqrt(
+                rate[1] ** 2 + rate[2] ** 2 + rate[3] ** 2 + (rate[0] * distance_m) ** 2
+            )
+            waited[1] += travel_m
+            wait_factor = 2.0 ** min(waited[0] - _FREE_SEARCHES, 20.0)
+            if waited[1] < min(_WAIT_M * wait_factor, _WAIT_SHARE * distance_m):
                 continue
         waited[0] += 1.0
         waited[1] = 0.0
-        found = looks(chain[block], rate, tables, places)
-        least, row, angle = math.inf, -1, 0.0
+        tangents = looks(chain[block], rate, tables, places)
+        least_steer, row, angle = math.inf, -1, 0.0
         for i in range(len(places)):
             for side in range(2):
-                if found[i, side, 1] > 0.0:
-                    steer = abs(found[i, side, 2] / found[i, side, 1])
-                    if steer < least:
-                        least, row, angle = steer, i, found[i, side, 0]
+                if tangents[i, side, 1] > 0.0:
+                    steer = abs(tangents[i, side, 2] / tangents[i, side, 1])
+                    if steer < least_steer:
+                        least_steer, row, angle = steer, i, tangents[i, side, 0]
         if row >= 0:
             return block, row, angle
     return count, -1, 0.0

@@ -55,7 +55,7 @@ def read_points(path: Path) -> list[list[float]]:
             place=Place(str(path)),
             remedy="Give as many points as its shape needs.",
         )
-    found: list[list[float]] = []
+    points: list[list[float]] = []
     for number, row in rows[1:]:
         try:
             cells = dict(zip(header, map(float, row), strict=True))
@@ -69,19 +69,19 @@ def read_points(path: Path) -> list[list[float]]:
                 remedy="Write two numbers, like 12.5,40.",
             )
         if point[1] <= 0.0:
-            raise _crosses(Place(str(path), number), f"radius {1e3 * point[1]:g} mm")
-        if found and point[0] <= found[-1][0]:
+            raise _axis_crossed(Place(str(path), number), f"radius {1e3 * point[1]:g} mm")
+        if points and point[0] <= points[-1][0]:
             raise JobError(
                 f"the mandrel doubles back: x = {1e3 * point[0]:g} mm follows "
-                f"{1e3 * found[-1][0]:g} mm",
+                f"{1e3 * points[-1][0]:g} mm",
                 place=Place(str(path), number),
                 remedy="Sort the points by x; each x once.",
             )
-        found.append(point)
-    return found
+        points.append(point)
+    return points
 
 
-def _crosses(place: Place, where: str) -> JobError:
+def _axis_crossed(place: Place, where: str) -> JobError:
     return JobError(
         f"the mandrel crosses its axis: {where}",
         place=place,
@@ -125,9 +125,9 @@ def read_section(path: Path, layer: str | None = None) -> list[list[list[float]]
         if layer not in (None, stroke.layer):
             continue
         for index in range(len(stroke.pieces)):
-            made = _stretch(stroke.pieces, index, file)
-            if made is not None:
-                rows.append((int(stroke.pieces.line[index]), made))
+            stretch = _stretch(stroke.pieces, index, file)
+            if stretch is not None:
+                rows.append((int(stroke.pieces.line[index]), stretch))
         if len(rows) > _MOST_PIECES:
             raise JobError(
                 f"the meridian has more than {_MOST_PIECES} lines and curves",
@@ -141,81 +141,82 @@ def read_section(path: Path, layer: str | None = None) -> list[list[list[float]]
             remedy="Draw the half section above the X axis, from polar opening to polar opening.",
         )
     rows.sort(key=lambda row: float(row[1].x[0, 0]))
-    for (_, before), (at, after) in itertools.pairwise(rows):
-        gap = math.hypot(after.x[0, 0] - before.x[-1, 0], after.r[0, 0] - before.r[-1, 0])
+    for (_, left), (line_number, right) in itertools.pairwise(rows):
+        gap = math.hypot(right.x[0, 0] - left.x[-1, 0], right.r[0, 0] - left.r[-1, 0])
         if gap > _MEETS_M:
             raise JobError(
                 f"the mandrel is open or has two lines: one ends at x = "
-                f"{1e3 * before.x[-1, 0]:.6g} mm, y = {1e3 * before.r[-1, 0]:.6g} mm, this one "
-                f"begins at {1e3 * after.x[0, 0]:.6g} mm, {1e3 * after.r[0, 0]:.6g} mm",
-                place=Place(file, at),
+                f"{1e3 * left.x[-1, 0]:.6g} mm, y = {1e3 * left.r[-1, 0]:.6g} mm, this one "
+                f"begins at {1e3 * right.x[0, 0]:.6g} mm, {1e3 * right.r[0, 0]:.6g} mm",
+                place=Place(file, line_number),
                 remedy="Let each line begin where the one before it ends, or name its layer.",
             )
-    return [np.column_stack([one.u, one.x, one.r]).tolist() for _, one in rows]
+    return [np.column_stack([part.u, part.x, part.r]).tolist() for _, part in rows]
 
 
 def _stretch(pieces: Pieces, index: int, file: str) -> Stretch | None:
     """Return a piece of a drawing from left to right; None if it is no part of the meridian."""
     place = Place(file, int(pieces.line[index]))
-    straight = bool(pieces.is_line[index])
-    count = 2 if straight else _NODES
+    is_straight = bool(pieces.is_line[index])
+    count = 2 if is_straight else _NODES
 
-    def drawn(p: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def drawn_at(p: FloatArray) -> tuple[FloatArray, FloatArray]:
         found = np.array(pieces.evaluate(np.full(len(p), index), p, 2))
         return found[:, :, 0], found[:, :, 1]
 
-    x, r = (values[0] for values in drawn(np.linspace(0.0, 1.0, count)))
+    x, r = (values[0] for values in drawn_at(np.linspace(0.0, 1.0, count)))
     if not (np.abs(x) <= _LONGEST_M).all() or not (np.abs(r) <= _LONGEST_M).all():
         raise JobError(
             f"the meridian is longer than {_LONGEST_M:g} m",
             place=place,
             remedy="Correct the unit of the drawing.",
         )
-    if math.hypot(x[-1] - x[0], r[-1] - r[0]) < _MEETS_M and straight:
+    if math.hypot(x[-1] - x[0], r[-1] - r[0]) < _MEETS_M and is_straight:
         return None
     on_axis = np.abs(r) < _MEETS_M
-    if on_axis.all() or (straight and on_axis.any() and abs(x[-1] - x[0]) < _MEETS_M):
+    if on_axis.all() or (is_straight and on_axis.any() and abs(x[-1] - x[0]) < _MEETS_M):
         return None  # the axis, or a face that ends on it
     if (r <= 0.0).any():
-        raise _crosses(place, f"y = {1e3 * float(r.min()):.6g} mm")
-    forward = bool(x[-1] > x[0])
-    steps = np.diff(x) if forward else -np.diff(x)
+        raise _axis_crossed(place, f"y = {1e3 * float(r.min()):.6g} mm")
+    is_forward = bool(x[-1] > x[0])
+    steps = np.diff(x) if is_forward else -np.diff(x)
     if (steps <= 0.0).any():
-        at = int(np.argmax(steps <= 0.0))
+        index_back = int(np.argmax(steps <= 0.0))
         raise JobError(
-            f"the mandrel doubles back at x = {1e3 * x[at]:.6g} mm, y = {1e3 * r[at]:.6g} mm",
+            f"the mandrel doubles back at x = {1e3 * x[index_back]:.6g} mm, y = "
+            f"{1e3 * r[index_back]:.6g} mm",
             place=place,
             remedy="Its meridian must go from left to right; end it at the polar opening.",
         )
-    if straight:
-        order = slice(None) if forward else slice(None, None, -1)
+    if is_straight:
+        order = slice(None) if is_forward else slice(None, None, -1)
         (x0, x1), (r0, r1) = x[order].tolist(), r[order].tolist()
         return line(x0, r0, x1, r1)
 
     def rightwards(p: FloatArray) -> tuple[FloatArray, FloatArray]:
-        found_x, found_r = drawn(p if forward else 1.0 - p)
-        if not forward:
+        found_x, found_r = drawn_at(p if is_forward else 1.0 - p)
+        if not is_forward:
             found_x[1] *= -1.0
             found_r[1] *= -1.0
         return found_x, found_r
 
     with np.errstate(invalid="ignore", divide="ignore"):
-        made = stretch_of(rightwards, np.linspace(0.0, 1.0, count))
-    if not all(np.isfinite(values).all() for values in (made.u, made.x, made.r)):
+        stretch = stretch_of(rightwards, np.linspace(0.0, 1.0, count))
+    if not all(np.isfinite(values).all() for values in (stretch.u, stretch.x, stretch.r)):
         raise JobError(
             "a curve of the meridian stands still at a point",
             place=place,
             remedy="Draw it as arcs and lines, or as a spline without doubled points.",
         )
-    return made
+    return stretch
 
 
 def stretches_of(rows: Any) -> Sequence[Stretch] | None:
     """Return the stretches of the rows of ``read_section``; None if they are no such rows."""
-    found = []
-    for one in rows if isinstance(rows, list) and rows else [None]:
+    stretches = []
+    for row in rows if isinstance(rows, list) and rows else [None]:
         try:
-            table = np.array(one, dtype=np.float64)
+            table = np.array(row, dtype=np.float64)
         except (TypeError, ValueError):
             return None
         if table.ndim != 2 or table.shape[1] != 7 or len(table) < 2:
@@ -224,11 +225,11 @@ def stretches_of(rows: Any) -> Sequence[Stretch] | None:
             return None
         if not (np.diff(table[:, 0]) > 0.0).all():
             return None
-        found.append(Stretch(u=table[:, 0], x=table[:, 1:4], r=table[:, 4:7]))
-    return found
+        stretches.append(Stretch(u=table[:, 0], x=table[:, 1:4], r=table[:, 4:7]))
+    return stretches
 
 
 def shifted(stretches: Sequence[Stretch], x_m: float) -> list[Stretch]:
     """Return stretches moved along the axis so that the first begins at ``x_m``."""
-    by = np.array([x_m - float(stretches[0].x[0, 0]), 0.0, 0.0])
-    return [Stretch(u=one.u, x=one.x + by, r=one.r) for one in stretches]
+    shift = np.array([x_m - float(stretches[0].x[0, 0]), 0.0, 0.0])
+    return [Stretch(u=stretch.u, x=stretch.x + shift, r=stretch.r) for stretch in stretches]

@@ -28,12 +28,12 @@ MERIDIANS = (".fib", ".pay", ".mnd")
 _MAX_BYTES = 20_000_000
 _MOST_POINTS = 200_000
 _MOST_MM = 1e6
-_SAME_M = 1e-5  # two points of a meridian are one
+_SAME_POINT_M = 1e-5  # two points of a meridian are one
 _FIB_LINES, _PAY_LINES = 4, 4  # before the points
 _WITH_COUNT = 2  # numbers of the line with NELE, if the number of points stands there
 _FIB_WIDTHS = (5, *(11,) * 6)
 _PAY_WIDTHS = (10,) * 9
-_BESIDE = ("$", "ANR")  # settings and notes of CADFIL 9
+_NOTE_MARKS = ("$", "ANR")  # settings and notes of CADFIL 9
 _MANDREL = "XRDATA"  # begins a mandrel file that turns about an axis
 _MND_WIDTHS = (20, 20, 8, 12)
 _LEAST_MM = 1e-3  # a smaller radius is the axis
@@ -51,8 +51,8 @@ def foreign_product(path: Path) -> Content:
     ending = path.suffix.lower()
     if ending == SUFFIX:
         return WindFile(path).product()
-    paths = [path] if ending != ".ctl" else list(_listed(path))
-    widths = [_width_mm(each) for each in paths]
+    paths = [path] if ending != ".ctl" else list(_listed_payouts(path))
+    widths = [_width_mm(payout_file) for payout_file in paths]
     if max(widths) > min(widths):
         raise JobError(
             f"its payout files have bands of {min(widths):g} to {max(widths):g} mm",
@@ -61,7 +61,9 @@ def foreign_product(path: Path) -> Content:
         )
     parts = _mandrel_of(paths)
     if parts is None:
-        parts = [_meridian(_seen([_cadfil_points(each) for each in paths]), path)]
+        parts = [
+            _meridian(_joined_paths([_cadfil_points(payout_file) for payout_file in paths]), path)
+        ]
     return {
         "name": f"{path.stem} ({NAMED})",
         "mandrel": {"at": f"{1e3 * parts[0][0][0]:.9g} mm"},
@@ -91,8 +93,8 @@ def _mandrel_of(paths: Sequence[Path]) -> list[list[list[float]]] | None:
     for path in paths:
         rows = _rows(path)
         name = re.split(r"[\\/]", rows[1][1].strip())[-1].lower() if len(rows) > 1 else ""
-        beside = [file for file in path.parent.iterdir() if file.name.lower() == name]
-        files.update(beside if name.endswith(".mnd") else ())
+        same_name = [file for file in path.parent.iterdir() if file.name.lower() == name]
+        files.update(same_name if name.endswith(".mnd") else ())
     return _mandrel(min(files)) if len(files) == 1 else None
 
 
@@ -128,7 +130,7 @@ def _mandrel(path: Path) -> list[list[list[float]]]:
             remedy="The file may be truncated: save it again.",
         )
     parts: list[list[list[float]]] = [[]]
-    divided = False
+    part_ended = False
     for number, line in points[: int(count)]:
         place, radius, extra, arc = _numbers(path, line, number, _MND_WIDTHS, 4)[:4]
         if arc != 0.0:
@@ -148,54 +150,54 @@ def _mandrel(path: Path) -> list[list[list[float]]]:
                 remedy="Draw its points from left to right in CADFIL's mandrel editor.",
             )
         parts[-1].append(point)
-        if divided or extra > 0.0:
+        if part_ended or extra > 0.0:
             parts.append([point])
-        divided = extra > 0.0
-    found = [part for part in parts if len(part) > 1]
-    if not found:
+        part_ended = extra > 0.0
+    used_parts = [part for part in parts if len(part) > 1]
+    if not used_parts:
         raise JobError(
             "the mandrel has fewer than two points off its axis",
             place=Place(str(path), number),
             remedy="Draw its meridian in CADFIL's mandrel editor.",
         )
-    return found
+    return used_parts
 
 
-def _seen(paths: Sequence[np.ndarray]) -> np.ndarray:
+def _joined_paths(paths: Sequence[np.ndarray]) -> np.ndarray:
     """Return (n, 3) points of several paths; each adds only points beyond the ends of finer paths.
 
     A path with more points has nearly none on chords below the mandrel; in CADFIL's joining paths
     such points lie up to some 0.2 mm below it. Points of both would make a jagged mandrel.
     """
-    finest, *others = sorted(paths, key=len, reverse=True)
-    found = finest
-    for points in others:
-        low, high = found[:, 0].min(), found[:, 0].max()
-        beyond = (points[:, 0] < low) | (points[:, 0] > high)
-        found = np.vstack([found, points[beyond]])
-    return found
+    finest, *coarser = sorted(paths, key=len, reverse=True)
+    points_seen = finest
+    for points in coarser:
+        low, high = points_seen[:, 0].min(), points_seen[:, 0].max()
+        is_beyond = (points[:, 0] < low) | (points[:, 0] > high)
+        points_seen = np.vstack([points_seen, points[is_beyond]])
+    return points_seen
 
 
-def _listed(path: Path) -> Iterator[Path]:
+def _listed_payouts(path: Path) -> Iterator[Path]:
     """Yield the payout files that a control file lists, which stand beside it."""
     text = read_text(path, _MAX_BYTES, JobError, "control file", "latin-1")
-    beside = {file.name.lower(): file for file in path.parent.iterdir()}
-    seen: set[str] = set()
+    files = {file.name.lower(): file for file in path.parent.iterdir()}
+    listed: set[str] = set()
     for number, line in enumerate(text.splitlines(), start=1):
         for word in _NAME.findall(line):
             name = re.split(r"[\\/]", word)[-1].lower()
-            named = name.endswith(".pay")
-            file = beside.get(name if named else f"{name}.pay")
-            if named and file is None:
+            has_ending = name.endswith(".pay")
+            file = files.get(name if has_ending else f"{name}.pay")
+            if has_ending and file is None:
                 raise JobError(
                     f"the payout file {word[:60]!r} is not beside the control file",
                     place=Place(str(path), number),
                     remedy="Copy the payout files into its folder.",
                 )
-            if file is not None and name not in seen:
-                seen.add(name)
+            if file is not None and name not in listed:
+                listed.add(name)
                 yield file
-    if not seen:
+    if not listed:
         raise JobError(
             "the control file names no payout file (.PAY)",
             place=Place(str(path)),
@@ -209,7 +211,7 @@ def _rows(path: Path) -> list[tuple[int, str]]:
     return [
         (number, line)
         for number, line in enumerate(text.splitlines(), start=1)
-        if line.strip() and not line.startswith(_BESIDE)
+        if line.strip() and not line.startswith(_NOTE_MARKS)
     ]
 
 
@@ -221,23 +223,23 @@ def _numbers(path: Path, line: str, number: int, widths: Sequence[int], least: i
         words = [line[a:b].strip() for a, b in zip([0, *ends[:-1]], ends, strict=True)]
         words = [word for word in words if word]
     try:
-        found = [float(word) for word in words]
+        numbers = [float(word) for word in words]
     except ValueError:
-        found = []
-    if len(found) < least or not all(abs(value) <= _MOST_MM for value in found):
+        numbers = []
+    if len(numbers) < least or not all(abs(value) <= _MOST_MM for value in numbers):
         raise JobError(
             f"{line.strip()[:60]!r} is not what CADFIL writes here: {least} numbers or more",
             place=Place(str(path), number),
             remedy="Save it again from CADFIL.",
         )
-    return found
+    return numbers
 
 
 def _width_mm(path: Path) -> float:
     """Return the width of the band in a payout path, or in the one beside a fibre path."""
     if path.suffix.lower() == ".fib":
-        beside = [file for file in path.parent.iterdir() if file.stem == path.stem]
-        payout = next((file for file in beside if file.suffix.lower() == ".pay"), None)
+        same_stem = [file for file in path.parent.iterdir() if file.stem == path.stem]
+        payout = next((file for file in same_stem if file.suffix.lower() == ".pay"), None)
         if payout is None:
             raise JobError(
                 "a .FIB has no width of the band",
@@ -276,11 +278,11 @@ def _cadfil_points(path: Path) -> np.ndarray:
             remedy="The file may be truncated: save it again.",
         )
     first, widths, least = (0, _PAY_WIDTHS, 6) if payout else (1, _FIB_WIDTHS, 7)
-    found = [
+    point_rows = [
         _numbers(path, line, number, widths, least)[first : first + 3]
         for number, line in points[: int(count)]
     ]
-    return np.array(found)
+    return np.array(point_rows)
 
 
 def _meridian(points_mm: np.ndarray, path: Path) -> list[list[float]]:
@@ -288,7 +290,7 @@ def _meridian(points_mm: np.ndarray, path: Path) -> list[list[float]]:
     x, r = 1e-3 * points_mm[:, 0], 1e-3 * np.hypot(points_mm[:, 1], points_mm[:, 2])
     order = np.argsort(x, kind="stable")
     x, r = x[order], r[order]
-    group = np.concatenate([[0], np.cumsum(np.diff(x) > _SAME_M)])
+    group = np.concatenate([[0], np.cumsum(np.diff(x) > _SAME_POINT_M)])
     count = np.bincount(group)
     places, radii = np.bincount(group, x) / count, np.bincount(group, r) / count
     if len(places) < 2 or float(radii.min()) <= 0.0:

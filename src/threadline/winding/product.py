@@ -133,10 +133,10 @@ def product_text(given: str | Path) -> str:
     try:
         content = tomllib.loads(written)
     except (tomllib.TOMLDecodeError, RecursionError) as error:
-        what, at = toml_fault(error, written)
+        fault, line = toml_fault(error, written)
         raise JobError(
-            what,
-            place=Place(text, at),
+            fault,
+            place=Place(text, line),
             remedy='A product file is TOML: write key = "value" with quotes, below its [table].',
         ) from error
     reader = ProductReader(text, written)
@@ -171,8 +171,8 @@ def _embed(part: dict[str, Any], folder: Path, reader: ProductReader) -> None:
         )
     from threadline.winding.other_planners import MERIDIANS, meridian_of
 
-    read = meridian_of if Path(name).suffix.lower() in MERIDIANS else read_points
-    part["points"] = read(folder / name)
+    reader_of_points = meridian_of if Path(name).suffix.lower() in MERIDIANS else read_points
+    part["points"] = reader_of_points(folder / name)
 
 
 @lru_cache(maxsize=8)
@@ -207,7 +207,7 @@ class ProductReader(MandrelReader):
             self.refuse("name", "name must be a text", 'Write name = "vessel".')
         mandrel = self.table_of(content, "mandrel")
         at = self.number(mandrel, "at", "m", "0 mm")
-        error = self.number(mandrel, "radius_error", "m", "0 mm")
+        radius_error = self.number(mandrel, "radius_error", "m", "0 mm")
         slip = self.number(mandrel, "slip", "rad", "0 deg")
         if abs(slip.si) + slip.tolerance > 0.5 * math.pi:
             self.refuse("slip", "slip is above 90 deg a turn", 'Like "0 deg +- 0.05 deg".')
@@ -225,11 +225,12 @@ class ProductReader(MandrelReader):
         band = self.table_of(content, "band")
         width = self.number(band, "width", "m", None)
         smallest = surface.least_radius_m
-        if abs(error.si) + error.tolerance >= smallest:
+        if abs(radius_error.si) + radius_error.tolerance >= smallest:
             self.table = "mandrel"
             self.refuse(
                 "radius_error",
-                f"a radius_error of {1e3 * error.si:g} +- {1e3 * error.tolerance:g} mm leaves no "
+                f"a radius_error of {1e3 * radius_error.si:g} +- "
+                f"{1e3 * radius_error.tolerance:g} mm leaves no "
                 f"mandrel where its radius is {1e3 * smallest:.4g} mm",
                 'Like "0 mm +- 0.1 mm".',
             )
@@ -245,8 +246,8 @@ class ProductReader(MandrelReader):
         # Imported only here: a proof of a part program reads no materials.
         from threadline.winding.band import read_band, read_materials
 
-        known = read_materials(self, content)
-        made = read_band(self, band, known, width.si)
+        materials = read_materials(self, content)
+        full_band = read_band(self, band, materials, width.si)
         self.table_of(content, "cost")
         friction = self.number(self.table_of(content, "friction"), "value", "", None)
         if not 0.0 < friction.si <= _MOST_FRICTION or friction.tolerance >= friction.si:
@@ -259,16 +260,21 @@ class ProductReader(MandrelReader):
         fibre = self.table_of(content, "fibre")
         tied = self.number(fibre, "tied", "m", "0 mm").si if "tied" in fibre else None
         take_up = self.number(fibre, "take_up", "m", "0 mm").si if "take_up" in fibre else None
-        apart = self.number(fibre, "clearance", "m", "0 mm").si if "clearance" in fibre else None
+        clearance = (
+            self.number(fibre, "clearance", "m", "0 mm").si if "clearance" in fibre else None
+        )
         ends = surface.at(np.array([0.0, surface.length_m]))[0][:, 0]
         if tied is not None and not ends[0] <= tied <= ends[1]:
-            self.refuse("tied", f"tied = {1e3 * tied:g} mm is beside the mandrel", _within(ends))
+            self.refuse(
+                "tied", f"tied = {1e3 * tied:g} mm is beside the mandrel", _extent_words(ends)
+            )
         covered, gap = self._coverage(content, ends)
         return Product(
-            name=name, file=self.file, text=self.text, surface=surface, at=at, radius_error=error,
-            slip=Toleranced(slip.si / _TURN, slip.tolerance / _TURN), rings=rings,
-            width=width, friction=friction, thickness=made.thickness, band=made, tied=tied,
-            take_up=take_up, clearance=apart, covered=covered, gap=gap,
+            name=name, file=self.file, text=self.text, surface=surface, at=at,
+            radius_error=radius_error, slip=Toleranced(slip.si / _TURN, slip.tolerance / _TURN),
+            rings=rings, width=width, friction=friction,
+            thickness=full_band.thickness, band=full_band, tied=tied,
+            take_up=take_up, clearance=clearance, covered=covered, gap=gap,
         )  # fmt: skip
 
     def _coverage(
@@ -281,13 +287,13 @@ class ProductReader(MandrelReader):
         end = self.number(coverage, "end", "m", None).si
         gap = self.number(coverage, "gap", "m", "0 mm").si
         if not ends[0] <= begin < end <= ends[1]:
-            self.refuse("begin", "the covered part is not on the mandrel", _within(ends))
+            self.refuse("begin", "the covered part is not on the mandrel", _extent_words(ends))
         return (begin, end), gap
 
     def _rings(
         self, content: Mapping[str, Any], shaft: float, surface: Surface
     ) -> tuple[Ring, ...]:
-        ends, found = surface.at(np.array([0.0, surface.length_m]))[0][:, 0], []
+        ends, rings = surface.at(np.array([0.0, surface.length_m]))[0][:, 0], []
         if shaft:
             self.table = "mandrel"
             smallest = surface.least_radius_m
@@ -296,7 +302,7 @@ class ProductReader(MandrelReader):
                     "shaft", f"a shaft with radius {1e3 * shaft:g} mm is thicker than the mandrel",
                     f"The smallest radius of the mandrel is {1e3 * smallest:.4g} mm.",
                 )  # fmt: skip
-            found += [
+            rings += [
                 Ring("the shaft", -_ENDLESS_M, float(ends[0]), shaft),
                 Ring("the shaft", float(ends[1]), _ENDLESS_M, shaft),
             ]
@@ -309,18 +315,18 @@ class ProductReader(MandrelReader):
                 self.known(row, TABLES[name])
                 at = self.number(row, "at", "m", None).si
                 radius = self.number(row, "radius", "m", None).si
-                long = self.number(row, size, "m", None).si
-                for key, value in (("radius", radius), (size, long)):
+                length_m = self.number(row, size, "m", None).si
+                for key, value in (("radius", radius), (size, length_m)):
                     if value <= 0.0:
                         self.refuse(key, f"{key} must be above 0", 'Like "20 mm".')
-                begin = at if name == "boss" else at - 0.5 * long
+                begin = at if name == "boss" else at - 0.5 * length_m
                 words = f"the {'boss' if name == 'boss' else 'pins'} at {1e3 * at:g} mm"
-                found.append(Ring(words, begin, begin + long, radius))
+                rings.append(Ring(words, begin, begin + length_m, radius))
         self.index = -1
-        return tuple(found)
+        return tuple(rings)
 
 
-def _within(ends: FloatArray) -> str:
+def _extent_words(ends: FloatArray) -> str:
     return f"It goes from {1e3 * ends[0]:.6g} mm to {1e3 * ends[1]:.6g} mm."
 
 

@@ -18,8 +18,8 @@ from threadline.winding.meridians import shifted, stretches_of
 from threadline.winding.shapes import ellipse, isotensoid, nose, table
 from threadline.winding.surface import Stretch, Surface, line, surface_of
 
-_FARTHEST = 1e4  # m, and tex
-_LIKE = {"tex": "2400", "fibre_volume": "60 %"}
+_LARGEST = 1e4  # m, and tex
+_EXAMPLES = {"tex": "2400", "fibre_volume": "60 %"}
 _NOT_NEGATIVE = ("thickness", "tex", "take_up", "clearance", "gap")
 TABLES: Mapping[str, tuple[str, ...]] = {
     "": (
@@ -84,15 +84,15 @@ class KeyReader:
         """Return the line of a key in the present table; else the line of the table; else 0."""
         table, header, count = "", 0, dict.fromkeys(_LISTS, -1)
         for number, row in enumerate(self.written.splitlines(), start=1):
-            opened = re.match(r"\s*\[\[?\s*([A-Za-z_]+)\s*\]", row)
-            if opened:
-                table = opened[1]
+            table_header = re.match(r"\s*\[\[?\s*([A-Za-z_]+)\s*\]", row)
+            if table_header:
+                table = table_header[1]
                 if table in count:
                     count[table] += 1
-            here = table == self.table and (table not in _LISTS or count[table] == self.index)
-            if here and opened:
+            in_table = table == self.table and (table not in _LISTS or count[table] == self.index)
+            if in_table and table_header:
                 header = number
-            if here and re.match(rf"\s*{re.escape(key)}\s*=", row):
+            if in_table and re.match(rf"\s*{re.escape(key)}\s*=", row):
                 return number
         return header
 
@@ -105,43 +105,43 @@ class KeyReader:
     def table_of(self, content: Mapping[str, Any], name: str) -> Mapping[str, Any]:
         """Return a table of the file, empty if it is missing; it becomes the present table."""
         self.table = name
-        found = content.get(name, {})
-        if not isinstance(found, dict):
+        member = content.get(name, {})
+        if not isinstance(member, dict):
             self.table = ""
             self.refuse(name, f"{name} must be a table", f"Write [{name}].")
-        self.known(found, TABLES[name])
-        return found
+        self.known(member, TABLES[name])
+        return member
 
     def number(
         self, content: Mapping[str, Any], key: str, unit: str, default: str | None
     ) -> Toleranced:
         """Return a number of the present table, in SI; with the default None it is required."""
         text = content.get(key, default)
-        usual = _LIKE.get(key, "0.25 +- 0.05" if not unit else "5 mm +- 0.3 mm")
-        like = f'Write {key} = "{usual}".'
+        usual = _EXAMPLES.get(key, "0.25 +- 0.05" if not unit else "5 mm +- 0.3 mm")
+        example = f'Write {key} = "{usual}".'
         if text is None:
-            self.refuse(key, f"{self.table}.{key} is missing", like)
+            self.refuse(key, f"{self.table}.{key} is missing", example)
         if not unit and isinstance(text, int | float) and not isinstance(text, bool):
             text = repr(text)
         if not isinstance(text, str):
-            self.refuse(key, f"{key} = {str(text)[:60]!r} is not a quantity", like)
+            self.refuse(key, f"{key} = {str(text)[:60]!r} is not a quantity", example)
         match = _NUMBER.fullmatch(text.strip())
         try:
             if match is None:
                 raise UnitError("there is not a number")
             value = parse_quantity(match["value"].strip(), unit)
-            spread = (match["tolerance"] or "").strip()
-            if spread.endswith("%"):
-                around = abs(value) * parse_quantity(spread, "")
+            written_tolerance = (match["tolerance"] or "").strip()
+            if written_tolerance.endswith("%"):
+                tolerance = abs(value) * parse_quantity(written_tolerance, "")
             else:
-                around = parse_quantity(spread, unit) if spread else 0.0
+                tolerance = parse_quantity(written_tolerance, unit) if written_tolerance else 0.0
         except UnitError as error:
-            self.refuse(key, f"{key}: {error.message}", like)
-        if abs(value) > _FARTHEST or not 0.0 <= around <= _FARTHEST:
-            self.refuse(key, f"{key} = {text[:60]!r} is out of reach", like)
+            self.refuse(key, f"{key}: {error.message}", example)
+        if abs(value) > _LARGEST or not 0.0 <= tolerance <= _LARGEST:
+            self.refuse(key, f"{key} = {text[:60]!r} is out of reach", example)
         if value < 0.0 and key in _NOT_NEGATIVE:
-            self.refuse(key, f"{key} = {text[:60]!r} is below 0", like)
-        return Toleranced(value, around)
+            self.refuse(key, f"{key} = {text[:60]!r} is below 0", example)
+        return Toleranced(value, tolerance)
 
 
 class MandrelReader(KeyReader):
@@ -152,24 +152,25 @@ class MandrelReader(KeyReader):
         chain: list[Stretch] = []
         for index, part in enumerate(parts):
             self.index = index
-            held = next((key for key in ("points", "section") if key in part), None)
-            kind = part.get("kind", "table" if held else None)
+            embedded = next((key for key in ("points", "section") if key in part), None)
+            kind = part.get("kind", "table" if embedded else None)
             if not isinstance(kind, str) or kind not in _PARTS:
                 self.refuse("kind", f"a part of the kind {kind!r}"[:80], nearest(str(kind), _PARTS))
-            own = (held,) if kind == "table" and held else _PARTS[kind]
-            self.known(part, ("kind", *own))
+            keys = (embedded,) if kind == "table" and embedded else _PARTS[kind]
+            self.known(part, ("kind", *keys))
             x = 0.0 if not chain else float(chain[-1].x[-1, 0])
-            made = self._part(kind, part, x)
+            stretches = self._part(kind, part, x)
             if chain:
-                before, after = float(chain[-1].r[-1, 0]), float(made[0].r[0, 0])
-                if abs(before - after) > 1e-6:
+                end_radius, begin_radius = float(chain[-1].r[-1, 0]), float(stretches[0].r[0, 0])
+                if abs(end_radius - begin_radius) > 1e-6:
                     self.refuse(
                         "radius",
                         f"the mandrel is open at x = {1e3 * x:.6g} mm: a part ends with radius "
-                        f"{1e3 * before:.6g} mm, and the next begins with {1e3 * after:.6g} mm",
+                        f"{1e3 * end_radius:.6g} mm, and the next begins with "
+                        f"{1e3 * begin_radius:.6g} mm",
                         "Let each part begin with the radius at which the one before it ends.",
                     )
-            chain += made
+            chain += stretches
         self.index = len(parts) - 1
         with placed(Place(self.file, self.line_of(""))):
             return surface_of(chain, edge)
@@ -210,13 +211,13 @@ class MandrelReader(KeyReader):
         if pole not in ("left", "right"):
             self.refuse("pole", f"pole = {pole!r}", 'Write pole = "left" or pole = "right".')
         left, opening = pole == "left", sizes["opening"]
-        most = radius / math.sqrt(1.5) if kind == "isotensoid" else radius
-        if opening >= 0.999 * most:
+        largest_opening = radius / math.sqrt(1.5) if kind == "isotensoid" else radius
+        if opening >= 0.999 * largest_opening:
             self.refuse(
                 "opening",
                 f"the opening of {1e3 * opening:g} mm is too large for a radius of "
                 f"{1e3 * radius:g} mm",
-                f"It must be below {1e3 * most:.4g} mm.",
+                f"It must be below {1e3 * largest_opening:.4g} mm.",
             )
         height = sizes.get("height", radius)
         # With the pole on the left the equator comes last: shift the part to begin at x.
@@ -233,15 +234,15 @@ class MandrelReader(KeyReader):
 
     def _table_points(self, points: Any) -> FloatArray:
         try:
-            found = np.array(points, dtype=np.float64)
+            array = np.array(points, dtype=np.float64)
         except (TypeError, ValueError):
-            found = np.empty(0)
-        if found.ndim != 2 or found.shape[1:] != (2,) or len(found) < 2:
+            array = np.empty(0)
+        if array.ndim != 2 or array.shape[1:] != (2,) or len(array) < 2:
             self.refuse("file", "a table needs a file", 'Write file = "meridian.csv".')
-        if not (np.isfinite(found).all() and (np.diff(found[:, 0]) > 0.0).all()):
+        if not (np.isfinite(array).all() and (np.diff(array[:, 0]) > 0.0).all()):
             self.refuse(
                 "file",
                 "the points of a meridian must go from left to right",
                 "Sort the rows of the table by x_mm.",
             )
-        return found
+        return array

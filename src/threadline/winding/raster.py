@@ -13,10 +13,10 @@ from threadline.base.compiled import njit
 from threadline.errors import JobError
 from threadline.winding.surface import Surface, meridian
 
-_PARTS = 20.0  # cells in the width of a band, at least
+_CELLS_PER_BAND = 20.0  # cells in the width of a band, at least
 _MOST_CELLS = 40_000_000
-_MARGIN = 2.0  # widths of the band beside the covered part
-_SAME = 3.0  # widths of laid fibre that count as one pass of the band
+_MARGIN_BANDS = 2.0  # widths of the band beside the covered part
+_SAME_PASS_BANDS = 3.0  # widths of laid fibre that count as one pass of the band
 _BARE = -2  # in place of an operation, where there is no fibre; -1 is a band of no operation
 
 
@@ -43,7 +43,7 @@ def in_percent(share: float) -> str:
 
 
 @njit(nogil=True)
-def _edge(
+def _band_edge(
     nodes: FloatArray, x: FloatArray, r: FloatArray, u: float, angle: float, winding: float,
     half: float, hint: int,
 ) -> tuple[float, float, int]:  # fmt: skip
@@ -56,8 +56,8 @@ def _edge(
 
 
 @njit(nogil=True)
-def _draw(
-    count: NDArray[np.uint16], stamp: NDArray[np.float32], of: NDArray[np.int32],
+def _mark_cells(
+    count: NDArray[np.uint16], stamp: NDArray[np.float32], operations: NDArray[np.int32],
     first: float, cell: FloatArray, corners: FloatArray, length: float, same: float, operation: int,
 ) -> None:  # fmt: skip
     """Mark the cells whose centres are in a quadrangle; ``corners`` is (4, 2), in order.
@@ -65,8 +65,8 @@ def _draw(
     A cell counts again only if the fibre was laid on by ``same`` since it was marked. Where
     ``count`` is empty, bands are not counted.
     """
-    rows, columns = of.shape
-    counts = len(count) > 0
+    rows, columns = operations.shape
+    counting = len(count) > 0
     low_u = min(corners[0, 0], corners[1, 0], corners[2, 0], corners[3, 0])
     high_u = max(corners[0, 0], corners[1, 0], corners[2, 0], corners[3, 0])
     begin = max(math.ceil((low_u - first) / cell[0] - 0.5), 0)
@@ -77,17 +77,17 @@ def _draw(
         for k in range(4):
             a, b = corners[k], corners[(k + 1) % 4]
             if (a[0] <= u) != (b[0] <= u):
-                at = a[1] + (u - a[0]) / (b[0] - a[0]) * (b[1] - a[1])
-                low, high = min(low, at), max(high, at)
-        left = math.ceil(low / cell[1] - 0.5)
-        right = math.ceil(high / cell[1] - 0.5)
-        at_column = left % columns
-        for _ in range(left, min(right, left + columns)):
-            if counts:
+                angle = a[1] + (u - a[0]) / (b[0] - a[0]) * (b[1] - a[1])
+                low, high = min(low, angle), max(high, angle)
+        first_column = math.ceil(low / cell[1] - 0.5)
+        end_column = math.ceil(high / cell[1] - 0.5)
+        at_column = first_column % columns
+        for _ in range(first_column, min(end_column, first_column + columns)):
+            if counting:
                 if count[row, at_column] == 0 or length - stamp[row, at_column] > same:
                     count[row, at_column] += 1
                 stamp[row, at_column] = length
-            of[row, at_column] = operation
+            operations[row, at_column] = operation
             at_column = at_column + 1 if at_column + 1 < columns else 0
 
 
@@ -112,9 +112,9 @@ def _bands(
         (4,) the place before and the laid length, which are updated.
     """
     nodes, x, r = table
-    count, stamp, of = raster
+    count, stamp, operations = raster
     corners, cell = np.empty((4, 2)), grid[1:3]
-    reach, end_u = 2.0 * grid[3], grid[0] + len(of) * grid[1]
+    reach_m, end_u = 2.0 * grid[3], grid[0] + len(operations) * grid[1]
     hint = 0
     for i in range(len(path)):
         u, angle, winding = path[i, 0], path[i, 1], path[i, 2]
@@ -122,13 +122,13 @@ def _bands(
             last[0], last[1], last[2] = u, angle, winding
             continue
         hint, _, radius, _, _, _, _ = meridian(nodes, x, r, last[0], hint)
-        du, da = u - last[0], angle - last[1]
-        length = math.hypot(du, radius * da)
+        du, d_angle = u - last[0], angle - last[1]
+        length = math.hypot(du, radius * d_angle)
         # Chords of a quarter of the band: on a cylinder the quadrangles are exact.
         steps = max(math.ceil(length / (0.5 * grid[3])), 1)
-        turn = math.atan2(math.sin(winding - last[2]), math.cos(winding - last[2]))
+        winding_change = math.atan2(math.sin(winding - last[2]), math.cos(winding - last[2]))
         # The length of the meridian per u is nearly 1: half the band is far less than reach.
-        if max(u, last[0]) + reach < grid[0] or min(u, last[0]) - reach > end_u:
+        if max(u, last[0]) + reach_m < grid[0] or min(u, last[0]) - reach_m > end_u:
             for _ in range(steps):
                 last[3] += length / steps
             last[0], last[1], last[2] = u, angle, winding
@@ -136,15 +136,19 @@ def _bands(
         for step in range(steps):
             for end in range(2):
                 share = (step + end) / steps
-                at_u, at_angle = last[0] + share * du, last[1] + share * da
-                at_winding = last[2] + share * turn
+                at_u, at_angle = last[0] + share * du, last[1] + share * d_angle
+                at_winding = last[2] + share * winding_change
                 for side in range(2):
-                    half = grid[3] if side == end else -grid[3]
-                    b_u, b_angle, hint = _edge(nodes, x, r, at_u, at_angle, at_winding, half, hint)
+                    half_signed = grid[3] if side == end else -grid[3]
+                    b_u, b_angle, hint = _band_edge(
+                        nodes, x, r, at_u, at_angle, at_winding, half_signed, hint
+                    )
                     k = 2 * end + side
                     corners[k, 0], corners[k, 1] = b_u, b_angle
             last[3] += length / steps
-            _draw(count, stamp, of, grid[0], cell, corners, last[3], grid[4], operation[i])
+            _mark_cells(
+                count, stamp, operations, grid[0], cell, corners, last[3], grid[4], operation[i]
+            )
         last[0], last[1], last[2] = u, angle, winding
 
 
@@ -180,8 +184,8 @@ class Raster:
         self._surface = surface
         begin, end = surface.place_of(np.array([begin_m, end_m]))
         radius = float(surface.at(np.linspace(begin, end, 2001))[1][:, 0].max())
-        rows = max(math.ceil((end - begin) / width_m * _PARTS), 1)
-        columns = max(math.ceil(2.0 * math.pi * radius / width_m * _PARTS), 1)
+        rows = max(math.ceil((end - begin) / width_m * _CELLS_PER_BAND), 1)
+        columns = max(math.ceil(2.0 * math.pi * radius / width_m * _CELLS_PER_BAND), 1)
         if rows * columns > _MOST_CELLS:
             raise JobError(
                 f"the coverage needs {rows * columns} cells of a twentieth of the band, limit "
@@ -194,7 +198,7 @@ class Raster:
         self._stamp = np.zeros(counted, dtype=np.float32)
         self._of = np.full(shape, _BARE, dtype=np.int32)
         self._cell = np.array([(end - begin) / rows, 2.0 * math.pi / columns])
-        self._grid = np.array([begin, *self._cell, 0.5 * width_m, _SAME * width_m])
+        self._grid = np.array([begin, *self._cell, 0.5 * width_m, _SAME_PASS_BANDS * width_m])
         self._last = np.array([np.nan, np.nan, np.nan, 0.0])
 
     @property
@@ -236,8 +240,8 @@ class Raster:
     def overlap(self) -> float:
         """Return the mean number of bands on the surface that is covered, if they are counted."""
         radius = self._surface.at(self.places)[1][:, 0]
-        over = radius @ (self._of != _BARE).mean(axis=1)
-        return float(radius @ self.count.mean(axis=1) / over) if over else 0.0
+        covered_radius = radius @ (self._of != _BARE).mean(axis=1)
+        return float(radius @ self.count.mean(axis=1) / covered_radius) if covered_radius else 0.0
 
     def gap(self) -> Gap:
         """Return the largest gap.
@@ -250,8 +254,8 @@ class Raster:
         if not bare.any():
             return Gap(0.0, 0.0, -1, "")
         x, r = (values[:, 0] for values in self._surface.at(self.places))
-        along = _runs(np.ascontiguousarray(bare.T), False).T * self._cell[0]
-        around = _runs(bare, True) * (self._cell[1] * r[:, None])
+        along = _bare_runs(np.ascontiguousarray(bare.T), False).T * self._cell[0]
+        around = _bare_runs(bare, True) * (self._cell[1] * r[:, None])
         with np.errstate(invalid="ignore"):
             width = np.where(bare, along * around / np.hypot(along, around), 0.0)
         row, column = np.unravel_index(int(width.argmax()), width.shape)
@@ -265,40 +269,42 @@ class Raster:
 
     def _beside(self, row: int, column: int, x: FloatArray, r: FloatArray) -> int:
         """Return the operation that laid the band nearest to a cell; -1 if there is none."""
-        nearest, found = math.inf, -1
-        for other, of in enumerate(self._of):  # row by row: the raster may fill half the memory
-            laid = np.flatnonzero(of >= 0)
+        nearest, operation = math.inf, -1
+        for other_row, row_operations in enumerate(
+            self._of
+        ):  # row by row: the raster may fill half the memory
+            laid = np.flatnonzero(row_operations >= 0)
             if not len(laid):
                 continue
-            away = np.abs(laid - column)
-            away = np.minimum(away, len(of) - away)
-            at = int(away.argmin())
-            around = r[row] * self._cell[1] * float(away[at])
-            distance = math.hypot(x[other] - x[row], r[other] - r[row], around)
+            columns_apart = np.abs(laid - column)
+            columns_apart = np.minimum(columns_apart, len(row_operations) - columns_apart)
+            nearest_index = int(columns_apart.argmin())
+            arc_m = r[row] * self._cell[1] * float(columns_apart[nearest_index])
+            distance = math.hypot(x[other_row] - x[row], r[other_row] - r[row], arc_m)
             if distance < nearest:
-                nearest, found = distance, int(of[laid[at]])
-        return found
+                nearest, operation = distance, int(row_operations[laid[nearest_index]])
+        return operation
 
 
 @njit(nogil=True)
-def _runs(bare: NDArray[np.bool_], around: bool) -> FloatArray:
+def _bare_runs(bare: NDArray[np.bool_], is_closed: bool) -> FloatArray:
     """Return for each cell the length of the run of bare cells in its row, in cells."""
     rows, columns = bare.shape
-    found = np.zeros((rows, columns))
+    lengths = np.zeros((rows, columns))
     for row in range(rows):
         # Begin behind a covered cell, so that no run is cut by the seam.
         shift = 0
-        while around and shift < columns and bare[row, shift]:
+        while is_closed and shift < columns and bare[row, shift]:
             shift += 1
-        if around and shift == columns:
-            found[row] = columns
+        if is_closed and shift == columns:
+            lengths[row] = columns
             continue
         run = 0
         for place in range(columns + 1):
             if place < columns and bare[row, (place + shift) % columns]:
                 run += 1
                 continue
-            for back in range(place - run, place):
-                found[row, (back + shift) % columns] = run
+            for bare_place in range(place - run, place):
+                lengths[row, (bare_place + shift) % columns] = run
             run = 0
-    return found
+    return lengths

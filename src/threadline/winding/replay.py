@@ -176,27 +176,27 @@ class Replay:
             Group of the block after the last one; None: the last group ends with the last block.
         """
         count = len(eyes)
-        before = eyes[:1] if self._last is None else self._last
-        chain = np.vstack([before, eyes])
+        eye_before = eyes[:1] if self._last is None else self._last
+        chain = np.vstack([eye_before, eyes])
         self._last = chain[-1:] if len(chain) else None
-        own = np.arange(count) if group is None else group
-        groups = np.append(own, own[-1:] - 1 if behind is None else [behind])
+        own_group = np.arange(count) if group is None else group
+        groups = np.append(own_group, own_group[-1:] - 1 if behind is None else [behind])
         laid = Laid(
             state=np.full(count, WAITING, dtype=np.int64),
             place=np.full((count, 10), np.nan),
             steer=np.full((count, 3), np.nan),
         )
-        at = 0
-        while at < count:
+        block = 0
+        while block < count:
             if not self._begun:
-                at = self._start(chain, at)
-                if at == count:
+                block = self._start(chain, block)
+                if block == count:
                     break
-            end = lay(chain, groups, self._tables, self._state, laid, at)
-            if end > at:
+            end = lay(chain, groups, self._tables, self._state, laid, block)
+            if end > block:
                 self._waited[:] = 0.0
             self._begun = end == count
-            at = end + 1
+            block = end + 1
         place, steer, state = laid.place, laid.steer, laid.state
         return Fibre(
             state=state,
@@ -225,20 +225,20 @@ class Replay:
         u, angle
             Place along the meridian, m, and angle, rad, where the fibre leaves the mandrel.
         """
-        state, found = np.zeros(STATE), np.empty(6)
+        state, lengths = np.zeros(STATE), np.empty(6)
         state[0], state[1] = u, angle
-        leads(eye, state, self._tables, np.empty((2, 15)), found)
-        return found
+        leads(eye, state, self._tables, np.empty((2, 15)), lengths)
+        return lengths
 
     def _start(self, chain: FloatArray, at: int) -> int:
         """Find the next block in which fibre can be laid, and set its start; return its number."""
         if self._rest is None:
             self._rest = float(chain[0, 0])
         if not self._turns:
-            turned = np.abs(chain[1:, 0] - self._rest) > self._least_turn
-            if not turned.any():
+            has_turned = np.abs(chain[1:, 0] - self._rest) > self._least_turn
+            if not has_turned.any():
                 return len(chain) - 1
-            self._turns, at = True, max(at, int(np.argmax(turned)))
+            self._turns, at = True, max(at, int(np.argmax(has_turned)))
         places = self._places if self._tied is None else np.array([self._tied])
         block, row, angle = first_look(chain, at, self._tables, places, self._waited)
         if row >= 0:
@@ -286,12 +286,12 @@ def _keep(
     """
     axes = places.shape[1]
     for i in range(1, len(places)):
-        step, way, straight = time[i] - door[0, axes], 0.0, group[i] == group[i - 1]
+        step, distance2_m2, in_door = time[i] - door[0, axes], 0.0, group[i] == group[i - 1]
         for j in range(axes):
-            moved = places[i, j] - door[0, j]
-            way += moved * moved
-            straight = straight and door[1, j] * step <= moved <= door[2, j] * step
-        if not (on_anchor or (straight and step > 0.0 and way <= LONGEST_M * LONGEST_M)):
+            moved_m = places[i, j] - door[0, j]
+            distance2_m2 += moved_m * moved_m
+            in_door = in_door and door[1, j] * step <= moved_m <= door[2, j] * step
+        if not (on_anchor or (in_door and step > 0.0 and distance2_m2 <= LONGEST_M * LONGEST_M)):
             kept[i - 1] = True
             door[0, :axes], door[0, axes] = places[i - 1], time[i - 1]
             door[1, :axes], door[2, :axes] = -math.inf, math.inf
@@ -299,12 +299,12 @@ def _keep(
         on_anchor = False
         if turn < 0 or not abs(places[i, turn] - door[1, axes]) <= LONGEST_M:
             door[2, axes] = STRAIGHT_M
-        off = door[2, axes]
+        tolerance_m = door[2, axes]
         for j in range(axes):
-            moved = places[i, j] - door[0, j]
-            if step > 0.0 and math.isfinite(moved):
-                door[1, j] = max(door[1, j], (moved - off) / step)
-                door[2, j] = min(door[2, j], (moved + off) / step)
+            moved_m = places[i, j] - door[0, j]
+            if step > 0.0 and math.isfinite(moved_m):
+                door[1, j] = max(door[1, j], (moved_m - tolerance_m) / step)
+                door[2, j] = min(door[2, j], (moved_m + tolerance_m) / step)
             else:  # no line passes through this row
                 door[1, j], door[2, j] = math.inf, -math.inf
     return on_anchor
@@ -315,13 +315,13 @@ def moves_of(eye: Tool, axes: Sequence[str], reach_m: float) -> FloatArray:
 
     ``reach_m`` is the radius at which rotary axes act.
     """
-    found = np.zeros(len(axes))
+    travel = np.zeros(len(axes))
     for number, part in enumerate(eye.parts):
         if part is not None and part.axis in axes:
-            at = axes.index(part.axis)
-            size = abs(part.factor) * (reach_m if number in _ANGLES else 1.0)
-            found[at] = max(found[at], size)
-    return found
+            column = axes.index(part.axis)
+            travel_m = abs(part.factor) * (reach_m if number in _ANGLES else 1.0)
+            travel[column] = max(travel[column], travel_m)
+    return travel
 
 
 class Thinning:
@@ -361,15 +361,15 @@ class Thinning:
         positions
             (n, axes); the first row is the last row of the previous call.
         """
-        found = np.zeros(len(positions), dtype=np.bool_)
+        is_kept = np.zeros(len(positions), dtype=np.bool_)
         if not len(positions):
-            return found
+            return is_kept
         places = positions * self._scale
         if not self._begun:
-            found[0] = self._begun = True
+            is_kept[0] = self._begun = True
             self._door[0, :-1], self._door[0, -1] = places[0], time[0]
             self._door[1], self._door[2] = -np.inf, np.inf
             self._door[1:, -1] = places[0, self._turn], _BEGIN_M
             self.waits = False
-        self.waits = not _keep(time, group, places, self._turn, self._door, found, not self.waits)
-        return found
+        self.waits = not _keep(time, group, places, self._turn, self._door, is_kept, not self.waits)
+        return is_kept

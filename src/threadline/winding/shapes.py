@@ -12,9 +12,9 @@ from threadline.winding.surface import Stretch, line, stretch_of
 
 _PIECE = math.radians(1.0)  # of an ellipse; the error of a piece is below 1e-12 of its radius
 _TURN = math.radians(5.0)  # a smaller turn between two chords of a table is no corner
-_SHARPER = 4.0  # than the turns at both neighbours: then it is a corner of the table
+_CORNER_FACTOR = 4.0  # than the turns at both neighbours: then it is a corner of the table
 _PIECES = 64  # of a dome that is not an ellipse
-_BASE = 0.02  # rad before the base of a nose, where its parameter stands still
+_BASE_RAD = 0.02  # rad before the base of a nose, where its parameter stands still
 
 
 def ellipse(
@@ -77,23 +77,23 @@ def isotensoid(x_m: float, radius_m: float, opening_m: float, *, left: bool) -> 
 
     q = np.linspace(0.0, 1.0, _PIECES + 1)
     nodes, weights = np.polynomial.legendre.leggauss(12)
-    inner = q[:-1, None] + np.diff(q)[:, None] * (0.5 + 0.5 * nodes)
-    x = np.concatenate([[0.0], np.cumsum(0.5 * np.diff(q) * (slope(inner) @ weights))])
+    q_nodes = q[:-1, None] + np.diff(q)[:, None] * (0.5 + 0.5 * nodes)
+    x = np.concatenate([[0.0], np.cumsum(0.5 * np.diff(q) * (slope(q_nodes) @ weights))])
     r = radius_m - depth * q * q
     sin = (r / radius_m) ** 3 * scale / np.sqrt(r * r - opening_m**2)
     cos = np.sqrt(np.maximum(1.0 - sin * sin, 0.0))
     # R2 / R1 = 2 - tan^2 of the fibre's angle.
-    bend = sin / r * (2.0 - opening_m**2 / (r * r - opening_m**2))
-    speed = np.hypot(slope(inner), 2.0 * depth * inner)
+    curvature = sin / r * (2.0 - opening_m**2 / (r * r - opening_m**2))
+    speed = np.hypot(slope(q_nodes), 2.0 * depth * q_nodes)
     u = np.concatenate([[0.0], np.cumsum(0.5 * np.diff(q) * (speed @ weights))])
     dome = Stretch(
         u=u,
-        x=np.column_stack([x_m + x, sin, -cos * bend]),
-        r=np.column_stack([r, -cos, -sin * bend]),
+        x=np.column_stack([x_m + x, sin, -cos * curvature]),
+        r=np.column_stack([r, -cos, -sin * curvature]),
     )
-    run = (inflection - opening_m) * sin[-1] / cos[-1]
-    end = line(x_m + x[-1], inflection, x_m + x[-1] + run, opening_m)
-    return [_mirrored(end, x_m), _mirrored(dome, x_m)] if left else [dome, end]
+    cone_m = (inflection - opening_m) * sin[-1] / cos[-1]
+    cone = line(x_m + x[-1], inflection, x_m + x[-1] + cone_m, opening_m)
+    return [_mirrored(cone, x_m), _mirrored(dome, x_m)] if left else [dome, cone]
 
 
 def nose(
@@ -111,24 +111,24 @@ def nose(
     for _ in range(80):
         middle = 0.5 * (low + high)
         low, high = (middle, high) if radius(middle) < opening_m else (low, middle)
-    parameters = np.linspace(high, math.pi - _BASE, 2 * _PIECES + 1)
+    parameters = np.linspace(high, math.pi - _BASE_RAD, 2 * _PIECES + 1)
 
     def drawn(p: FloatArray) -> tuple[FloatArray, FloatArray]:
         x = 0.5 * height_m * np.array([-np.cos(p), np.sin(p), np.cos(p)])
         x[0] += x_m - 0.5 * height_m
-        inner = (p - 0.5 * np.sin(2.0 * p)) / math.pi
+        area_share = (p - 0.5 * np.sin(2.0 * p)) / math.pi
         first = 2.0 * np.sin(p) ** 2 / math.pi
         second = 2.0 * np.sin(2.0 * p) / math.pi
-        root = np.sqrt(inner)
+        root = np.sqrt(area_share)
         r = radius_m * np.array(
             [root, 0.5 * first / root, 0.5 * second / root - 0.25 * first**2 / root**3]
         )
         return x, r
 
     # At the base the curvature is infinite: the last 1e-4 of the height is nearly a cylinder.
-    tip = stretch_of(drawn, parameters)
-    base = line(float(tip.x[-1, 0]), float(tip.r[-1, 0]), x_m, radius_m)
-    parts = [tip, base]
+    dome = stretch_of(drawn, parameters)
+    base = line(float(dome.x[-1, 0]), float(dome.r[-1, 0]), x_m, radius_m)
+    parts = [dome, base]
     return parts if left else [_mirrored(part, x_m) for part in reversed(parts)]
 
 
@@ -140,8 +140,8 @@ def table(points_m: FloatArray) -> list[Stretch]:
     """
     chords = np.diff(points_m, axis=0)
     turns = np.abs(np.diff(np.arctan2(chords[:, 1], chords[:, 0])))
-    beside = np.maximum(np.append(turns[1:], 0.0), np.insert(turns[:-1], 0, 0.0))
-    corners = np.flatnonzero((turns > _TURN) & (turns > _SHARPER * beside)) + 1
+    neighbour_turns = np.maximum(np.append(turns[1:], 0.0), np.insert(turns[:-1], 0, 0.0))
+    corners = np.flatnonzero((turns > _TURN) & (turns > _CORNER_FACTOR * neighbour_turns)) + 1
     ends = [0, *corners.tolist(), len(points_m) - 1]
     return [_spline(points_m[a : b + 1]) for a, b in itertools.pairwise(ends)]
 
@@ -150,14 +150,14 @@ def _spline(points_m: FloatArray) -> Stretch:
     if len(points_m) == 2:
         (x0, r0), (x1, r1) = points_m.tolist()
         return line(x0, r0, x1, r1)
-    along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(points_m, axis=0).T))])
+    chord_m = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(points_m, axis=0).T))])
     # Imported only here: few mandrels have a table, and the library takes long to load.
     from scipy.interpolate import CubicSpline
 
-    curve = CubicSpline(along, points_m, bc_type="natural")
+    curve = CubicSpline(chord_m, points_m, bc_type="natural")
 
     def drawn(p: FloatArray) -> tuple[FloatArray, FloatArray]:
         values = np.array([curve(p, k) for k in range(3)])
         return values[:, :, 0], values[:, :, 1]
 
-    return stretch_of(drawn, along)
+    return stretch_of(drawn, chord_m)

@@ -53,18 +53,18 @@ class Stretch:
 def stretch_of(drawn: Drawn, parameters: FloatArray) -> Stretch:
     """Return the nodes of a drawn stretch at increasing ``parameters``, (n,)."""
     low, high = parameters[:-1, None], parameters[1:, None]
-    inner = low + (high - low) * (0.5 + 0.5 * _NODES)
-    x, r = drawn(inner.ravel())
-    speed = np.hypot(x[1], r[1]).reshape(inner.shape)
+    nodes = low + (high - low) * (0.5 + 0.5 * _NODES)
+    x, r = drawn(nodes.ravel())
+    speed = np.hypot(x[1], r[1]).reshape(nodes.shape)
     lengths = ((high - low)[:, 0] * 0.5) * (speed @ _WEIGHTS)
     x, r = drawn(parameters)
     speed = np.hypot(x[1], r[1])
-    turn = (x[1] * r[2] - r[1] * x[2]) / speed**3
+    curvature = (x[1] * r[2] - r[1] * x[2]) / speed**3
     cos, sin = x[1] / speed, r[1] / speed
     return Stretch(
         u=np.concatenate([[0.0], np.cumsum(lengths)]),
-        x=np.column_stack([x[0], cos, -sin * turn]),
-        r=np.column_stack([r[0], sin, cos * turn]),
+        x=np.column_stack([x[0], cos, -sin * curvature]),
+        r=np.column_stack([r[0], sin, cos * curvature]),
     )
 
 
@@ -84,20 +84,22 @@ def _trimmed(part: Stretch, begin: float, end: float) -> Stretch:
     if begin <= 0.0 and end <= 0.0:
         return part
     low, high = begin, part.u[-1] - end
-    inner = part.u[(part.u > low) & (part.u < high)]
-    u = np.concatenate([[low], inner, [high]])
+    inner_u = part.u[(part.u > low) & (part.u < high)]
+    u = np.concatenate([[low], inner_u, [high]])
     x, r = _tables([part])[1:]
-    found = [_evaluated(value, part.u, u) for value in (x, r)]
-    return Stretch(u=u - low, x=found[0], r=found[1])
+    tables = [_evaluated(value, part.u, u) for value in (x, r)]
+    return Stretch(u=u - low, x=tables[0], r=tables[1])
 
 
 def _evaluated(coefficients: FloatArray, nodes: FloatArray, u: FloatArray) -> FloatArray:
     piece = np.clip(np.searchsorted(nodes, u, side="right") - 1, 0, len(nodes) - 2)
-    at = u - nodes[piece]
+    offset = u - nodes[piece]
     rows = [coefficients[piece]]
     for _ in range(2):
         rows.append(rows[-1][:, 1:] * np.arange(1, rows[-1].shape[1]))
-    return np.column_stack([(row * at[:, None] ** np.arange(row.shape[1])).sum(1) for row in rows])
+    return np.column_stack(
+        [(row * offset[:, None] ** np.arange(row.shape[1])).sum(1) for row in rows]
+    )
 
 
 def _tables(parts: Sequence[Stretch]) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -106,22 +108,22 @@ def _tables(parts: Sequence[Stretch]) -> tuple[FloatArray, FloatArray, FloatArra
     for part in parts:
         nodes.append(nodes[-1][-1] + part.u[1:])
         h = np.diff(part.u)[:, None]
-        for values, found in ((part.x, rows[0]), (part.r, rows[1])):
+        for values, coefficients in ((part.x, rows[0]), (part.r, rows[1])):
             before, after = values[:-1], values[1:]
             y0, d0, c0 = (before[:, k, None] * h**k for k in range(3))
             y1, d1, c1 = (after[:, k, None] * h**k for k in range(3))
-            gap = y1 - y0
+            difference = y1 - y0
             scaled = np.hstack(
                 [
                     y0,
                     d0,
                     0.5 * c0,
-                    10.0 * gap - 6.0 * d0 - 4.0 * d1 - 1.5 * c0 + 0.5 * c1,
-                    -15.0 * gap + 8.0 * d0 + 7.0 * d1 + 1.5 * c0 - c1,
-                    6.0 * gap - 3.0 * (d0 + d1) - 0.5 * (c0 - c1),
+                    10.0 * difference - 6.0 * d0 - 4.0 * d1 - 1.5 * c0 + 0.5 * c1,
+                    -15.0 * difference + 8.0 * d0 + 7.0 * d1 + 1.5 * c0 - c1,
+                    6.0 * difference - 3.0 * (d0 + d1) - 0.5 * (c0 - c1),
                 ]
             )
-            found.append(scaled / h ** np.arange(6))
+            coefficients.append(scaled / h ** np.arange(6))
     return np.concatenate(nodes), np.vstack(rows[0]), np.vstack(rows[1])
 
 
@@ -133,9 +135,9 @@ def _blend(before: Stretch, after: Stretch) -> Stretch:
     turn = float(after.angle[0] - before.angle[-1])
     # An arc of this turn is longer than its chord.
     length *= 0.5 * turn / math.sin(0.5 * turn)
-    bend = turn / length
-    for values, along, sign in ((x, r, -1.0), (r, x, 1.0)):
-        values[:, 2] = sign * along[:, 1] * bend
+    curvature = turn / length
+    for values, other_values, sign in ((x, r, -1.0), (r, x, 1.0)):
+        values[:, 2] = sign * other_values[:, 1] * curvature
     return Stretch(u=np.array([0.0, length]), x=x, r=r)
 
 
@@ -218,43 +220,43 @@ def surface_of(parts: Sequence[Stretch], edge_m: float, file: str = "") -> Surfa
                 f"{1e3 * after.x[0, 0]:.6g} mm with radius {1e3 * after.r[0, 0]:.6g} mm",
                 remedy="Let each part begin where the one before it ends.",
             )
-    chain = _rounded(parts, edge_m)
+    chain = _with_rounded_corners(parts, edge_m)
     nodes, x, r = _tables(chain)
-    made = Surface(nodes, x, r, convex=True)
+    surface = Surface(nodes, x, r, convex=True)
     u = np.unique(np.concatenate([np.linspace(0.0, nodes[-1], 4097), nodes]))
-    along, radius = made.at(u)
+    along, radius = surface.at(u)
     angle = np.abs(np.arctan2(radius[:, 1], along[:, 1]))
     if (angle > _STEEPEST).any():
-        at = int(np.argmax(angle > _STEEPEST))
+        worst = int(np.argmax(angle > _STEEPEST))
         raise JobError(
-            f"{name}the mandrel doubles back at x = {1e3 * along[at, 0]:.6g} mm, radius "
-            f"{1e3 * radius[at, 0]:.6g} mm",
+            f"{name}the mandrel doubles back at x = {1e3 * along[worst, 0]:.6g} mm, radius "
+            f"{1e3 * radius[worst, 0]:.6g} mm",
             remedy="Its meridian must go from left to right; end it at the polar opening.",
         )
     if (radius[:, 0] <= 0.0).any():
-        at = int(np.argmax(radius[:, 0] <= 0.0))
+        worst = int(np.argmax(radius[:, 0] <= 0.0))
         raise JobError(
-            f"{name}the mandrel crosses its axis at x = {1e3 * along[at, 0]:.6g} mm",
+            f"{name}the mandrel crosses its axis at x = {1e3 * along[worst, 0]:.6g} mm",
             remedy="End it at a polar opening with a radius above 0.",
         )
-    bend = along[:, 1] * radius[:, 2] - radius[:, 1] * along[:, 2]
+    second_order = along[:, 1] * radius[:, 2] - radius[:, 1] * along[:, 2]
     scale = radius[:, 0].max()
-    return Surface(nodes, x, r, convex=bool((bend * scale < 1e-6).all()))
+    return Surface(nodes, x, r, convex=bool((second_order * scale < 1e-6).all()))
 
 
-def _rounded(parts: Sequence[Stretch], edge_m: float) -> list[Stretch]:
+def _with_rounded_corners(parts: Sequence[Stretch], edge_m: float) -> list[Stretch]:
     turns = [
         float(after.angle[0] - before.angle[-1]) for before, after in itertools.pairwise(parts)
     ]
-    cut = [0.0] * (len(parts) + 1)
+    cut_m = [0.0] * (len(parts) + 1)
     for index, turn in enumerate(turns, start=1):
         if abs(turn) > _CORNER:
             shorter = min(parts[index - 1].u[-1], parts[index].u[-1])
-            cut[index] = min(edge_m * math.tan(0.5 * abs(turn)), 0.4 * float(shorter))
+            cut_m[index] = min(edge_m * math.tan(0.5 * abs(turn)), 0.4 * float(shorter))
     chain: list[Stretch] = []
     for index, part in enumerate(parts):
-        trimmed = _trimmed(part, cut[index], cut[index + 1])
-        if index and cut[index]:
+        trimmed = _trimmed(part, cut_m[index], cut_m[index + 1])
+        if index and cut_m[index]:
             chain.append(_blend(chain[-1], trimmed))
         chain.append(trimmed)
     return chain

@@ -17,13 +17,13 @@ PILE = 2
 """Number of the pair of free fibre and mandrel, as in ``apart.walk``."""
 _ROUNDS = 4  # most Newton steps to the foot of a normal
 _FOOT_M = 1e-7  # error of the foot of a normal; the height error grows with its square
-_TWICE = 2  # steps to the layers along the normal of the line, which is not the mandrel's
+_NORMAL_STEPS = 2  # steps to the layers along the normal of the line, which is not the mandrel's
 BLOCK = 16
 """Number of cells of the meridian that are compared at once, by their largest thickness."""
 
 
 @njit(nogil=True)
-def _above(
+def _height_over_mandrel(
     x: float, r: float, u: float, hint: int, table: tuple[FloatArray, FloatArray, FloatArray]
 ) -> tuple[float, float, float, float, int]:
     """Return the height of a point over the bare mandrel, and the mandrel below it.
@@ -32,34 +32,34 @@ def _above(
     angle, and piece. The arguments ``u`` and ``hint`` are a place and a piece nearby. The height is
     infinite beyond the ends.
     """
-    last, height, cb, sb = table[0][-1], 0.0, 1.0, 0.0
+    last, height_m, cb, sb = table[0][-1], 0.0, 1.0, 0.0
     for _ in range(_ROUNDS):
         hint, px, pr, cb, sb, bend, speed = meridian(table[0], table[1], table[2], u, hint)
-        height = (r - pr) * cb - (x - px) * sb
-        along = (x - px) * cb + (r - pr) * sb
-        u += along / (max(1.0 + height * bend, 0.1) * speed)
+        height_m = (r - pr) * cb - (x - px) * sb
+        along_m = (x - px) * cb + (r - pr) * sb
+        u += along_m / (max(1.0 + height_m * bend, 0.1) * speed)
         if not 0.0 <= u <= last:
             return math.inf, min(max(u, 0.0), last), cb, sb, hint
-        if abs(along) < _FOOT_M:
+        if abs(along_m) < _FOOT_M:
             break
-    return height, u, cb, sb, hint
+    return height_m, u, cb, sb, hint
 
 
 @njit(nogil=True)
 def _thickness(u: float, cell: float, layers: FloatArray) -> float:
     """Return the thickness of the layers at ``u``, linear between the middles of the cells."""
-    at = min(max(u / cell - 0.5, 0.0), len(layers) - 1.0)
-    low = min(int(at), len(layers) - 2)
-    return float(layers[low] + (at - low) * (layers[low + 1] - layers[low]))
+    cell_position = min(max(u / cell - 0.5, 0.0), len(layers) - 1.0)
+    low = min(int(cell_position), len(layers) - 2)
+    return float(layers[low] + (cell_position - low) * (layers[low + 1] - layers[low]))
 
 
 @njit(nogil=True)
 def highest_in_blocks(layers: FloatArray) -> FloatArray:
     """Return the largest thickness in every ``BLOCK`` cells of the meridian, m."""
-    found = np.zeros((len(layers) + BLOCK - 1) // BLOCK)
+    highest = np.zeros((len(layers) + BLOCK - 1) // BLOCK)
     for cell in range(len(layers)):
-        found[cell // BLOCK] = max(found[cell // BLOCK], layers[cell])
-    return found
+        highest[cell // BLOCK] = max(highest[cell // BLOCK], layers[cell])
+    return highest
 
 
 @njit(nogil=True)
@@ -72,8 +72,8 @@ def _is_clear(height: float, rise: float, u: float, cell: float, blocks: FloatAr
     """
     for k in range(len(blocks)):
         # The thickness of a cell reaches to the middles of its neighbours.
-        away = max((k * BLOCK - 0.5) * cell - u, u - ((k + 1) * BLOCK + 0.5) * cell, 0.0)
-        if blocks[k] >= height + rise * away:
+        distance_m = max((k * BLOCK - 0.5) * cell - u, u - ((k + 1) * BLOCK + 0.5) * cell, 0.0)
+        if blocks[k] >= height + rise * distance_m:
             return False
     return True
 
@@ -109,38 +109,38 @@ def hollow_over(
     length = math.sqrt((to[0] - at[0]) ** 2 + (to[1] - at[1]) ** 2 + (to[2] - at[2]) ** 2)
     count = int(min(max(math.ceil(length / (cells * sizes[0])), 8.0), hull.shape[1] - 1.0))
     hint = max(int(np.searchsorted(table[0], u)) - 1, 0)
-    _, _, cb, sb, hint = _above(at[0], math.hypot(at[1], at[2]), u, hint, table)
-    radius, highest = math.hypot(at[1], at[2]), 0.0
+    _, _, cb, sb, hint = _height_over_mandrel(at[0], math.hypot(at[1], at[2]), u, hint, table)
+    radius, highest_m = math.hypot(at[1], at[2]), 0.0
     n0, n1, n2 = -sb, cb * at[1] / radius, cb * at[2] / radius
     line_m, before_m, line_u = 0.0, 0.0, u
     for k in range(count + 1):
-        share, high = k / count, 0.0
+        share, over_layers_m = k / count, 0.0
         before_m = line_m
-        for step in range(_TWICE):
-            x = at[0] + share * (to[0] - at[0]) + high * n0
-            across = at[1] + share * (to[1] - at[1]) + high * n1
-            up = at[2] + share * (to[2] - at[2]) + high * n2
+        for step in range(_NORMAL_STEPS):
+            x = at[0] + share * (to[0] - at[0]) + over_layers_m * n0
+            across = at[1] + share * (to[1] - at[1]) + over_layers_m * n1
+            up = at[2] + share * (to[2] - at[2]) + over_layers_m * n2
             radius = math.hypot(across, up)
-            height, u, cb, sb, hint = _above(x, radius, u, hint, table)
+            height, u, cb, sb, hint = _height_over_mandrel(x, radius, u, hint, table)
             if step == 0:
                 line_m, line_u = height, u
-            level = cb * (across * n1 + up * n2) / radius - sb * n0
-            high += (_thickness(u, sizes[0], layers) - height) / max(level, 0.1)
-            if not high > -length:
+            normal_cosine = cb * (across * n1 + up * n2) / radius - sb * n0
+            over_layers_m += (_thickness(u, sizes[0], layers) - height) / max(normal_cosine, 0.1)
+            if not over_layers_m > -length:
                 break  # beyond the end of the mandrel
-        hull[0, k], hull[1, k] = share * length, high
+        hull[0, k], hull[1, k] = share * length, over_layers_m
         if k == count or height > sizes[1]:
             count = k
             break
         if k:
-            highest = max(highest, high)
+            highest_m = max(highest_m, over_layers_m)
         # Beyond the last layer that is met the hull leads straight to the eye.
-        if k and high < 0.0 and math.isfinite(sizes[1]):
+        if k and over_layers_m < 0.0 and math.isfinite(sizes[1]):
             rise = (line_m - before_m) * count / length
             if _is_clear(line_m, rise, line_u, sizes[0], blocks):
                 count = k
                 break
-    if highest <= 0.0:
+    if highest_m <= 0.0:
         return 0.0
     hull[0, count], hull[1, count] = length, 0.0
     corners = 1
@@ -154,15 +154,15 @@ def hollow_over(
             corners -= 1
         hull[2, corners] = k
         corners += 1
-    deepest = 0.0
+    deepest_m = 0.0
     for corner in range(corners - 2):  # the last stretch leads to the eye
         a, b = int(hull[2, corner]), int(hull[2, corner + 1])
         slope = (hull[1, b] - hull[1, a]) / (hull[0, b] - hull[0, a])
         for k in range(a + 1, b):
-            over = hull[1, a] + slope * (hull[0, k] - hull[0, a]) - hull[1, k]
-            if over < length:  # there is no layer beyond the end of the mandrel
-                deepest = max(deepest, over)
-    return deepest
+            hollow_m = hull[1, a] + slope * (hull[0, k] - hull[0, a]) - hull[1, k]
+            if hollow_m < length:  # there is no layer beyond the end of the mandrel
+                deepest_m = max(deepest_m, hollow_m)
+    return deepest_m
 
 
 @njit(nogil=True)
@@ -186,7 +186,7 @@ def over_layers(
         length of the latest one, which is updated; the thickness of the band; and the distance of
         the places in the first search for a hollow, in cells.
     """
-    a, b = np.empty(3), np.empty(3)
+    fibre_begin, fibre_end = np.empty(3), np.empty(3)
     hull = np.empty((3, MOST_PLACES))
     blocks = highest_in_blocks(layers)
     hint = 0
@@ -194,14 +194,21 @@ def over_layers(
         if not math.isfinite(laid[i, 0]) or abs(laid[i, 2] - sizes[3]) < sizes[2]:
             continue
         sizes[3] = laid[i, 2]
-        hint = free_fibre(laid[i], eyes[i], table, payout, hint, a, b)
+        hint = free_fibre(laid[i], eyes[i], table, payout, hint, fibre_begin, fibre_end)
         u = laid[i, 0]
         # Layers are means over a band: a few places in its width show half the height of a hollow.
-        if hollow_over(a, b, u, table, layers, blocks, sizes, int(sizes[5]), hull) < 0.5 * sizes[4]:
+        if (
+            hollow_over(
+                fibre_begin, fibre_end, u, table, layers, blocks, sizes, int(sizes[5]), hull
+            )
+            < 0.5 * sizes[4]
+        ):
             continue
-        room = sizes[4] - hollow_over(a, b, u, table, layers, blocks, sizes, 1, hull)
-        if room < min(least, 0.0):
-            least = room
+        room_m = sizes[4] - hollow_over(
+            fibre_begin, fibre_end, u, table, layers, blocks, sizes, 1, hull
+        )
+        if room_m < min(least, 0.0):
+            least = room_m
             found[i], pair[i] = -least, PILE
     return least
 
@@ -222,18 +229,18 @@ def wind(
     latest
         Place and laid length before the first element; both are updated, the place may be NaN.
     """
-    most = len(fresh) - 1.0
+    last_cell = len(fresh) - 1.0
     for i in range(len(u)):
         if not (math.isfinite(u[i]) and math.isfinite(length[i])):
             continue
         begin = latest[0] if math.isfinite(latest[0]) else u[i]
-        parts = int(min(max(math.ceil(abs(u[i] - begin) / cell), 1.0), most))
+        parts = int(min(max(math.ceil(abs(u[i] - begin) / cell), 1.0), last_cell))
         volume = section * (length[i] - latest[1]) / parts
         for part in range(parts):
             # Shared between the two nearest cells: an edge of a cell makes no step.
-            at = (begin + (part + 1.0) / parts * (u[i] - begin)) / cell - 0.5
-            at = min(max(at, 0.0), most)
-            low = min(int(at), len(fresh) - 2)
-            fresh[low] += volume * (low + 1.0 - at)
-            fresh[low + 1] += volume * (at - low)
+            cell_position = (begin + (part + 1.0) / parts * (u[i] - begin)) / cell - 0.5
+            cell_position = min(max(cell_position, 0.0), last_cell)
+            low = min(int(cell_position), len(fresh) - 2)
+            fresh[low] += volume * (low + 1.0 - cell_position)
+            fresh[low + 1] += volume * (cell_position - low)
         latest[0], latest[1] = u[i], length[i]

@@ -117,12 +117,12 @@ def numbers(text: str) -> list[float]:
         If the text contains anything else.
     """
     found: list[float] = []
-    at = 0
-    while match := _ITEM.match(text, at):
+    position = 0
+    while match := _ITEM.match(text, position):
         found.append(float(match[1]))
-        at = match.end()
-    if text[at:].strip() or text.rstrip().endswith(","):
-        raise ValueRefused(f"{shown(text[at:] or text)} is not a number")
+        position = match.end()
+    if text[position:].strip() or text.rstrip().endswith(","):
+        raise ValueRefused(f"{shown(text[position:] or text)} is not a number")
     if not all(map(math.isfinite, found)):
         raise ValueRefused("a number is not finite")
     return found
@@ -145,29 +145,29 @@ def transform(written: str, in_style: bool = False) -> FloatArray:
     result = np.eye(3)
     if written.strip() in ("", "none"):
         return result
-    written, at = written.strip(), 0
-    while at < len(written):
-        match = _FUNCTION.match(written, at)
+    written, position = written.strip(), 0
+    while position < len(written):
+        match = _FUNCTION.match(written, position)
         if match is None:
-            raise ValueRefused(f"the transform {shown(written[at:])} is not understood")
+            raise ValueRefused(f"the transform {shown(written[position:])} is not understood")
         result = result @ _function(match[1], match[2], in_style)
-        at = match.end()
+        position = match.end()
     if not np.isfinite(result).all():
         raise ValueRefused("a number of a transform is not finite")
     return result
 
 
-def _function(name: str, inside: str, in_style: bool) -> FloatArray:
-    said = f"the transform {shown(f'{name}({inside})')}"
+def _function(name: str, arguments: str, in_style: bool) -> FloatArray:
+    quoted = f"the transform {shown(f'{name}({arguments})')}"
     if name not in _COUNTS or (name in _IN_STYLES_ALONE and not in_style):
-        raise ValueRefused(f"{said} is not understood")
+        raise ValueRefused(f"{quoted} is not understood")
     try:
-        v = _styled(name, inside) if in_style else numbers(inside.strip())
+        v = _styled(name, arguments) if in_style else numbers(arguments.strip())
     except ValueRefused:
-        raise ValueRefused(f"{said} is not understood", "Write plain numbers.") from None
+        raise ValueRefused(f"{quoted} is not understood", "Write plain numbers.") from None
     if len(v) not in _COUNTS[name]:
-        wanted = " or ".join(map(str, _COUNTS[name]))
-        raise ValueRefused(f"{said} has {len(v)} numbers, not {wanted}")
+        allowed = " or ".join(map(str, _COUNTS[name]))
+        raise ValueRefused(f"{quoted} has {len(v)} numbers, not {allowed}")
     if name == "matrix":
         return np.array([[v[0], v[2], v[4]], [v[1], v[3], v[5]], [0.0, 0.0, 1.0]])
     if name.startswith("translate"):
@@ -188,26 +188,26 @@ def _function(name: str, inside: str, in_style: bool) -> FloatArray:
     return result
 
 
-def _styled(name: str, inside: str) -> list[float]:
+def _styled(name: str, arguments: str) -> list[float]:
     """Return the arguments of a function of a style sheet: lengths in px, angles in degrees."""
-    found = []
-    for part in inside.split(","):
+    values = []
+    for part in arguments.split(","):
         match = _LENGTH.fullmatch(part.strip())
         if match is None:
             raise ValueRefused(part)
         value, unit = float(match[1]), match[2]
         if name in ("rotate", "skewX", "skewY"):
-            good = unit in _ANGLES or (value == 0.0 and not unit)
+            unit_known = unit in _ANGLES or (value == 0.0 and not unit)
             value *= _ANGLES.get(unit, 1.0)
         elif name.startswith("translate"):
-            good = unit in PIXELS and bool(unit or value == 0.0)
+            unit_known = unit in PIXELS and bool(unit or value == 0.0)
             value *= PIXELS.get(unit, 1.0)
         else:
-            good = not unit
-        if not good:
+            unit_known = not unit
+        if not unit_known:
             raise ValueRefused(part)
-        found.append(value)
-    return found
+        values.append(value)
+    return values
 
 
 def colour(written: str) -> str:
@@ -236,20 +236,20 @@ def colour(written: str) -> str:
     return f"#{_NAMED[text]}"
 
 
-def _channels(kind: str, inside: str, written: str) -> str:
-    parts = [part for part in re.split(r"[\s,/]+", inside) if part]
-    found = [_LENGTH.fullmatch(part) for part in parts]
-    if len(parts) not in (3, 4) or any(m is None or m[2] not in ("", "%", "deg") for m in found):
+def _channels(kind: str, arguments: str, written: str) -> str:
+    parts = [part for part in re.split(r"[\s,/]+", arguments) if part]
+    matches = [_LENGTH.fullmatch(part) for part in parts]
+    if len(parts) not in (3, 4) or any(m is None or m[2] not in ("", "%", "deg") for m in matches):
         raise ValueRefused(f"{shown(written)} is not a known colour", "Write it like #ff0000.")
-    share = [float(m[1]) / 100.0 if m[2] == "%" else float(m[1]) for m in found if m]
-    if len(share) == 4 and share[3] <= 0.0:
+    values = [float(m[1]) / 100.0 if m[2] == "%" else float(m[1]) for m in matches if m]
+    if len(values) == 4 and values[3] <= 0.0:
         return "none"
     if kind == "hsl":
-        rgb = colorsys.hls_to_rgb(share[0] / 360.0 % 1.0, share[2], share[1])
+        rgb = colorsys.hls_to_rgb(values[0] / 360.0 % 1.0, values[2], values[1])
     else:
         rgb = tuple(  # type: ignore[assignment]  # three of them
             value if m and m[2] == "%" else value / 255.0
-            for value, m in zip(share[:3], found[:3], strict=True)
+            for value, m in zip(values[:3], matches[:3], strict=True)
         )
     return "#" + "".join(f"{round(255 * min(1.0, max(0.0, value))):02x}" for value in rgb)
 
@@ -405,7 +405,7 @@ class _Visit:
             self.stack[-1].text += text
 
 
-def _below(tree: Tree, element: Element) -> Iterator[Element]:
+def _drawn_children(tree: Tree, element: Element) -> Iterator[Element]:
     yield from element.children
     if element.target in tree.by_id:
         yield tree.by_id[element.target]
@@ -414,13 +414,15 @@ def _below(tree: Tree, element: Element) -> Iterator[Element]:
 def _refuse_endless_clones(tree: Tree) -> None:
     """Refuse elements that clone themselves, and clones that make too many elements."""
     sizes: dict[int, int] = {}
-    order: list[tuple[Element, bool]] = [(tree.root, False)]
+    stack: list[tuple[Element, bool]] = [(tree.root, False)]
     open_elements: set[int] = set()
-    while order:
-        element, done = order.pop()
-        if done:
+    while stack:
+        element, children_done = stack.pop()
+        if children_done:
             open_elements.discard(id(element))
-            sizes[id(element)] = 1 + sum(sizes[id(child)] for child in _below(tree, element))
+            sizes[id(element)] = 1 + sum(
+                sizes[id(child)] for child in _drawn_children(tree, element)
+            )
             if sizes[id(element)] > MAX_STROKES:
                 raise JobError(
                     f"clones make more than {MAX_STROKES} elements", place=tree.place(element)
@@ -429,11 +431,11 @@ def _refuse_endless_clones(tree: Tree) -> None:
         if id(element) in sizes:
             continue
         open_elements.add(id(element))
-        order.append((element, True))
-        for child in _below(tree, element):
+        stack.append((element, True))
+        for child in _drawn_children(tree, element):
             if id(child) in open_elements:
                 raise JobError(
                     f"the element {child.identity[:60]!r} is a clone of itself",
                     place=tree.place(element),
                 )
-            order.append((child, False))
+            stack.append((child, False))

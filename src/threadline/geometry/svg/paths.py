@@ -155,13 +155,15 @@ class _Reader:
 
     def refuse(self) -> NoReturn:
         rest = self.data[self.at :]
-        at = self.at + len(rest) - len(rest.lstrip())
-        word = re.match(r"[A-Za-z]{2,}|\S+", self.data[at:])
-        no_number = _NO_NUMBER.match(self.data[at:])
+        position = self.at + len(rest) - len(rest.lstrip())
+        word = re.match(r"[A-Za-z]{2,}|\S+", self.data[position:])
+        no_number = _NO_NUMBER.match(self.data[position:])
         if no_number:
             raise ValueRefused(f"{no_number[0]!r} in the data of a path is not a number", _REMEDY)
-        said = f"{shown(word[0])} at character {at + 1}" if word else "it ends too early"
-        raise ValueRefused(f"the data of a path is wrong: {said}", _REMEDY)
+        found_text = (
+            f"{shown(word[0])} at character {position + 1}" if word else "it ends too early"
+        )
+        raise ValueRefused(f"the data of a path is wrong: {found_text}", _REMEDY)
 
     def add(self, *segment: object) -> None:
         if self.closed:  # a segment after a closed subpath begins a new subpath at its start
@@ -173,7 +175,7 @@ class _Reader:
         x0, y0 = self.here
         base = (x0, y0) if relative else (0.0, 0.0)
         points = [(v[k] + base[0], v[k + 1] + base[1]) for k in range(0, len(v) - 1, 2)]
-        after = self.control  # of the preceding command
+        previous_control = self.control  # of the preceding command
         end = points[-1] if points else self.first
         if upper == "M":
             self.found.append(Subpath())
@@ -192,11 +194,11 @@ class _Reader:
             end = (x0, v[0] + base[1])
             self.add(self.here, end)
         elif upper in "CS":
-            first = points[0] if upper == "C" else self._mirrored(after, "CS")
+            first = points[0] if upper == "C" else self._mirrored(previous_control, "CS")
             self.control = points[-2]
             self.add(self.here, first, points[-2], end)
         elif upper in "QT":
-            self.control = points[0] if upper == "Q" else self._mirrored(after, "QT")
+            self.control = points[0] if upper == "Q" else self._mirrored(previous_control, "QT")
             self.add(self.here, self.control, end)
         else:
             end = (v[5] + base[0], v[6] + base[1])
@@ -212,11 +214,11 @@ class _Reader:
     def _arc(self, v: list[float], end: Point) -> None:
         if end == self.here:
             return
-        found = arc_segment(self.here, end, (v[0], v[1]), v[2], v[3] != 0.0, v[4] != 0.0)
-        if found is None:
+        arc = arc_segment(self.here, end, (v[0], v[1]), v[2], v[3] != 0.0, v[4] != 0.0)
+        if arc is None:
             self.add(self.here, end)
         else:
-            self.add(*found)
+            self.add(*arc)
 
 
 def arc_segment(
@@ -280,14 +282,14 @@ def shape_subpaths(
     if name in ("polyline", "polygon"):
         return _polygon(numbers(attributes.get("points", "").strip()), name == "polygon")
     width, height = viewport
-    whole = {
+    full_lengths = {
         **dict.fromkeys(("x", "cx", "rx", "x1", "x2", "width"), width),
         **dict.fromkeys(("y", "cy", "ry", "y1", "y2", "height"), height),
         "r": math.hypot(width, height) / math.sqrt(2.0),
     }
 
     def length(key: str, signed: bool = True) -> float:
-        value = pixels(key, attributes.get(key, "0"), whole[key])
+        value = pixels(key, attributes.get(key, "0"), full_lengths[key])
         if value < 0.0 and not signed:
             raise ValueRefused(f"{key} is {attributes[key]!r}, less than nothing")
         return value

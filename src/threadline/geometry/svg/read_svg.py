@@ -31,7 +31,7 @@ from threadline.units import unit_factor
 _PIXEL_M = 0.0254 / 96.0  # CSS: 96 pixels to the inch
 _PHYSICAL = re.compile(r"\s*(\d+\.?\d*|\.\d+)\s*(mm|cm|in|pt|pc)\s*")
 _UNIT_M = {"mm": 1e-3, "cm": 1e-2, "in": 0.0254, "pt": 0.0254 / 72.0, "pc": 0.0254 / 6.0}
-_NO_PAGE = 1000.0  # pixels: assumed height of a page without a height
+_DEFAULT_HEIGHT = 1000.0  # pixels: assumed height of a page without a height
 _ALIGNED = re.compile(r"x(Min|Mid|Max)Y(Min|Mid|Max)(?:\s+(meet|slice))?")
 _SHARE = {"Min": 0.0, "Mid": 0.5, "Max": 1.0}
 
@@ -118,10 +118,10 @@ def svg_page(tree: Tree, unit: str | None) -> Page:
 def _view_box(written: str | None) -> tuple[float, float, float, float] | None:
     if written is None:
         return None
-    found = numbers(written.strip())
-    if len(found) != 4 or found[2] <= 0.0 or found[3] <= 0.0:
+    values = numbers(written.strip())
+    if len(values) != 4 or values[2] <= 0.0 or values[3] <= 0.0:
         raise ValueRefused(f"viewBox is {shown(written)}, not four numbers of a box")
-    return found[0], found[1], found[2], found[3]
+    return values[0], values[1], values[2], values[3]
 
 
 def _pixel_size(
@@ -140,7 +140,11 @@ def _pixel_size(
     width, height = sizes
     if box is None:
         paged = height is not None
-        return (_NO_PAGE if width is None else width, _NO_PAGE if height is None else height, paged)
+        return (
+            _DEFAULT_HEIGHT if width is None else width,
+            _DEFAULT_HEIGHT if height is None else height,
+            paged,
+        )
     if height is None:
         height = box[3] if width is None else width * box[3] / box[2]
     return height * box[2] / box[3] if width is None else width, height, True
@@ -268,34 +272,34 @@ class _Walk:
         if id(element) not in self.cached:
             self.cached[id(element)] = self.styles.declared(element)
         declared = self.cached[id(element)]
-        value = {
+        values = {
             key: resolved(key, declared.get(key, (None,))[0], outside.inherited.get(key, ""))
             for key in READ
         }
-        display = value["display"].lower()
+        display = values["display"].lower()
         if display == "none":
             return None
         if display not in _DISPLAYS:
             raise ValueRefused(f"display is {shown(display)}, which is not understood")
         cut = outside.cut
         for key in ("clip-path", "mask"):
-            if value[key].lower() != "none":
+            if values[key].lower() != "none":
                 cut = (key, element.line)
         layer = outside.layer
         if element.name == "g":
             label = element.attributes.get(f"{INKSCAPE}label", element.identity)
-            grouped = element.attributes.get(f"{INKSCAPE}groupmode") == "layer"
-            if grouped or (depth == 1 and label and not outside.clone):
+            is_layer = element.attributes.get(f"{INKSCAPE}groupmode") == "layer"
+            if is_layer or (depth == 1 and label and not outside.clone):
                 layer = label
-        styled = "transform" in declared and declared["transform"][1]
-        own = transform(value["transform"], in_style=styled)
-        origin = value["transform-origin"]
-        if origin != "0 0" and not np.array_equal(own, np.eye(3)):
-            own = _about(own, origin, self.page.viewport)
+        in_style = "transform" in declared and declared["transform"][1]
+        own_matrix = transform(values["transform"], in_style=in_style)
+        origin = values["transform-origin"]
+        if origin != "0 0" and not np.array_equal(own_matrix, np.eye(3)):
+            own_matrix = _about(own_matrix, origin, self.page.viewport)
         return replace(
             outside,
-            matrix=outside.matrix @ own,
-            inherited={key: value[key] for key in INHERITED},
+            matrix=outside.matrix @ own_matrix,
+            inherited={key: values[key] for key in INHERITED},
             layer=layer,
             cut=cut,
         )
@@ -324,9 +328,9 @@ class _Walk:
         place = self.tree.place(element)
         stroke, filled = (self._paint(key, here) for key in ("stroke", "fill"))
         if here.cut is not None:
-            what, line = here.cut
+            clip, line = here.cut
             self._refuse(
-                element, here, f"a shape is cut by a {what} (line {line}), which is not applied",
+                element, here, f"a shape is cut by a {clip} (line {line}), which is not applied",
                 "Remove it or cut the shape itself,", stroke,
             )  # fmt: skip
             return
@@ -381,10 +385,10 @@ class _Walk:
         )
 
 
-def _about(own: FloatArray, origin: str, viewport: tuple[float, float]) -> FloatArray:
-    """Return the transform ``own`` about an origin, which may be given relative to the view box."""
+def _about(matrix: FloatArray, origin: str, viewport: tuple[float, float]) -> FloatArray:
+    """Return ``matrix`` about an origin, which may be given relative to the view box."""
     parts = origin.split()
-    words = {"left": "0%", "top": "0%", "center": "50%", "right": "100%", "bottom": "100%"}
+    percents = {"left": "0%", "top": "0%", "center": "50%", "right": "100%", "bottom": "100%"}
     if len(parts) == 3 and parts[2] in ("0", "0px"):
         parts = parts[:2]
     if len(parts) != 2 or parts[0] in ("top", "bottom") or parts[1] in ("left", "right"):
@@ -393,9 +397,9 @@ def _about(own: FloatArray, origin: str, viewport: tuple[float, float]) -> Float
             "Give it as two lengths, or save as plain SVG.",
         )
     x, y = (
-        pixels("transform-origin", words.get(part, part), whole)
-        for part, whole in zip(parts, viewport, strict=True)
+        pixels("transform-origin", percents.get(part, part), full_length)
+        for part, full_length in zip(parts, viewport, strict=True)
     )
-    there, back = np.eye(3), np.eye(3)
-    there[:2, 2], back[:2, 2] = (x, y), (-x, -y)
-    return there @ own @ back
+    to_origin, from_origin = np.eye(3), np.eye(3)
+    to_origin[:2, 2], from_origin[:2, 2] = (x, y), (-x, -y)
+    return to_origin @ matrix @ from_origin

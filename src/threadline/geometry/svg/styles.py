@@ -67,19 +67,19 @@ class Styles:
         """
         best: dict[str, tuple[Strength, str, bool]] = {}
 
-        def offer(key: str, value: str, strength: Strength, styled: bool) -> None:
+        def consider(key: str, value: str, strength: Strength, styled: bool) -> None:
             if key not in best or strength >= best[key][0]:
                 best[key] = (strength, value, styled)
 
         for key in READ:
             if key in element.attributes:
-                offer(key, element.attributes[key].strip(), (0, 0, 0, 0, 0, 0), False)
+                consider(key, element.attributes[key].strip(), (0, 0, 0, 0, 0, 0), False)
         for order, rule in enumerate(self._rules):
             if _matches(rule.compounds, element):
-                offer(rule.key, rule.value, (rule.important, 0, *rule.weight, order + 1), True)
+                consider(rule.key, rule.value, (rule.important, 0, *rule.weight, order + 1), True)
         try:
             for key, value, important in _declarations(element.attributes.get("style", "")):
-                offer(key, value, (important, 1, 0, 0, 0, 0), True)
+                consider(key, value, (important, 1, 0, 0, 0, 0), True)
             for key, (_, value, _) in best.items():
                 if key in _MOVES and not (key == "transform-box" and value == "view-box"):
                     raise ValueRefused(
@@ -126,7 +126,7 @@ def _declarations(text: str) -> Iterator[tuple[str, str, bool]]:
     ValueRefused
         If a style ends within quotes or brackets.
     """
-    for written in _split(_COMMENT.sub(" ", text)):
+    for written in _split_at_semicolons(_COMMENT.sub(" ", text)):
         key, colon, value = written.partition(":")
         key = key.strip().lower()
         if not colon:
@@ -140,7 +140,7 @@ def _declarations(text: str) -> Iterator[tuple[str, str, bool]]:
             yield key, value.strip(), bool(mark)
 
 
-def _split(text: str) -> Iterator[str]:
+def _split_at_semicolons(text: str) -> Iterator[str]:
     """Yield the texts between semicolons outside quotes and brackets."""
     begin = depth = 0
     for token in _TOKEN.finditer(text):
@@ -209,28 +209,28 @@ def _selector(text: str) -> tuple[tuple[tuple[str, str], ...], tuple[int, int, i
 
 def _matches(compounds: tuple[tuple[str, str], ...], element: Element) -> bool:
     (compound, combinator), rest = compounds[0], compounds[1:]
-    if not _is(compound, element):
+    if not _matches_compound(compound, element):
         return False
     if not rest:
         return True
-    above = element.parent
-    while above is not None:
-        if _matches(rest, above):
+    ancestor = element.parent
+    while ancestor is not None:
+        if _matches(rest, ancestor):
             return True
         if combinator == ">":
             return False
-        above = above.parent
+        ancestor = ancestor.parent
     return False
 
 
-def _is(compound: str, element: Element) -> bool:
+def _matches_compound(compound: str, element: Element) -> bool:
     for simple in _SIMPLE.findall(compound):
         if simple.startswith("#"):
-            good = element.identity == simple[1:]
+            matched = element.identity == simple[1:]
         elif simple.startswith("."):
-            good = simple[1:] in element.attributes.get("class", "").split()
+            matched = simple[1:] in element.attributes.get("class", "").split()
         else:
-            good = simple in ("*", element.name)
-        if not good:
+            matched = simple in ("*", element.name)
+        if not matched:
             return False
     return True

@@ -52,27 +52,27 @@ def read_hus(content: bytes, place: Place) -> FloatArray:
         raise _damaged(f"it says that it has {count} records, at most {MOST_RECORDS}", place)
     ends = [*offsets[1:], len(content)]
     columns = []
-    for what, begin, end in zip(("command", "X", "Y"), offsets, ends, strict=True):
+    for column_name, begin, end in zip(("command", "X", "Y"), offsets, ends, strict=True):
         if not _HEADER.size <= begin < end <= len(content):
-            raise _damaged(f"its column {what} is from {begin} to {end}", place)
+            raise _damaged(f"its column {column_name} is from {begin} to {end}", place)
         try:
             unpacked = _Unpacker(content[begin:end]).unpack(count)
         except ValueError as error:
-            raise _damaged(f"column {what}: {error}", place) from error
+            raise _damaged(f"column {column_name}: {error}", place) from error
         if len(unpacked) < count:
-            raise _damaged(f"column {what} has {len(unpacked)} of {count} records", place)
+            raise _damaged(f"column {column_name} has {len(unpacked)} of {count} records", place)
         columns.append(np.frombuffer(bytes(unpacked[:count]), dtype=np.uint8))
     acts = columns[0]
-    ended = np.flatnonzero(acts == _END)
-    last = int(ended[0]) + 1 if len(ended) else count
-    foreign = np.flatnonzero(~np.isin(acts[:last], list(_ACTS)))
-    if len(foreign):
-        record = int(foreign[0])
+    end_records = np.flatnonzero(acts == _END)
+    last = int(end_records[0]) + 1 if len(end_records) else count
+    unknown = np.flatnonzero(~np.isin(acts[:last], list(_ACTS)))
+    if len(unknown):
+        record = int(unknown[0])
         raise _damaged(f"record {record + 1} is the unknown command {acts[record]:#04x}", place)
-    ways = np.stack(columns[1:], axis=1).view(np.int8)[:last].astype(np.float64)
+    steps = np.stack(columns[1:], axis=1).view(np.int8)[:last].astype(np.float64)
     numbers = np.array([_ACTS.get(code, 0) for code in range(256)])
     table = np.empty((last, 3))
-    table[:, :2] = np.cumsum(ways, axis=0)
+    table[:, :2] = np.cumsum(steps, axis=0)
     table[:, 1] *= -1.0  # the file has Y up
     table[:, 2] = numbers[acts[:last]]
     return table
@@ -128,23 +128,23 @@ class _Unpacker:
         """Return the next symbol of a code."""
         if not code.lengths:
             return code.always
-        at = self.peek() >> (16 - code.width)
-        if at >= len(code.symbols):
+        code_index = self.peek() >> (16 - code.width)
+        if code_index >= len(code.symbols):
             raise ValueError("bits that are no code")
-        found = code.symbols[at]
-        self.at += code.lengths[found]
+        symbol = code.symbols[code_index]
+        self.at += code.lengths[symbol]
         if self.at > self.bits:
             raise ValueError("it is cut off")
-        return found
+        return symbol
 
     def length(self) -> int:
         """Return the next code length: 3 bits; after 7, a 1 for each further bit, then a 0."""
-        found = self.take(3)
-        while found >= 7 and self.take(1):
-            found += 1
-            if found > _LONGEST_CODE:
+        length = self.take(3)
+        while length >= 7 and self.take(1):
+            length += 1
+            if length > _LONGEST_CODE:
                 raise ValueError(f"a code of more than {_LONGEST_CODE} bits")
-        return found
+        return length
 
     def lengths_code(self) -> _Code:
         """Return the code for the lengths of the symbols."""
@@ -193,18 +193,18 @@ class _Unpacker:
         ValueError
             If the column is cut off, or its bits are no code.
         """
-        out, left = bytearray(), 0
+        out, symbols_left = bytearray(), 0
         symbols = distances = _Code([])
         while len(out) < most:
-            if left == 0:
+            if symbols_left == 0:
                 if self.at >= self.bits:
                     break
-                left = self.take(16)
-                if left == 0:
+                symbols_left = self.take(16)
+                if symbols_left == 0:
                     raise ValueError("a block of no symbols")
                 symbols = self.symbols_code(self.lengths_code())
                 distances = self.distances_code()
-            left -= 1
+            symbols_left -= 1
             symbol = self.symbol(symbols)
             if symbol < 256:
                 out.append(symbol)

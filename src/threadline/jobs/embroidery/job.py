@@ -84,21 +84,23 @@ def read_design(path: str | Path, *, machine: Machine, long_stitches: str | None
         )
     axes = machine.axis_names  # the columns follow the order of the machine file
     records = read_records(path)
-    found = _Merged(
+    merged = _Merged(
         str(path), machine.tables.longest.si * (1.0 + _ROUNDING), long_stitches or TRAVEL
     )
     first, second = (records.position_m[:, AXES.index(axis)].tolist() for axis in axes)
-    for number, (*to, act) in enumerate(zip(first, second, records.act.tolist(), strict=True), 1):
-        found.take(number, (to[0], to[1]), Act(act))
-    if not found.stitches:
+    for number, (*target, act) in enumerate(
+        zip(first, second, records.act.tolist(), strict=True), 1
+    ):
+        merged.take(number, (target[0], target[1]), Act(act))
+    if not merged.stitches:
         raise JobError(
             "there is no stitch in the design",
             place=Place(str(path)),
             remedy="Is it the right file?",
         )
-    if not found.led:
+    if not merged.led:
         raise JobError(
-            f"no stitch moves the frame: the needle enters {found.stitches} times, all in one "
+            f"no stitch moves the frame: the needle enters {merged.stitches} times, all in one "
             "place",
             place=Place(str(path)),
             remedy="Is it the right file? A design has at least two places.",
@@ -109,11 +111,11 @@ def read_design(path: str | Path, *, machine: Machine, long_stitches: str | None
         sha256=hashlib.sha256(records.content).hexdigest(),
         axes=axes,
         start=(0.0, 0.0),
-        operations=OperationStream(Stream.of(tuple(found.operations()))),
-        warnings=(*records.warnings, *found.warnings()),
+        operations=OperationStream(Stream.of(tuple(merged.operations()))),
+        warnings=(*records.warnings, *merged.warnings()),
         paced_by="shaft",
         threads=tuple(
-            records.threads[k] if k < len(records.threads) else None for k in found.thread_of_block
+            records.threads[k] if k < len(records.threads) else None for k in merged.thread_of_block
         ),
     )
 
@@ -169,22 +171,22 @@ class _Merged:
                 self.thread_of_block[-1] = self.changes
 
     def _stitch(self, line: int, to: tuple[float, float]) -> None:
-        way = max(abs(a - b) for a, b in zip(to, self.at, strict=True))
-        if way > self.longest_m and not self.cut:
-            self._long_stitch(line, to, way)
-        elif way > 0.0 and (not self.stitches or way > self.longest_m):
+        distance_m = max(abs(a - b) for a, b in zip(to, self.at, strict=True))
+        if distance_m > self.longest_m and not self.cut:
+            self._long_stitch(line, to, distance_m)
+        elif distance_m > 0.0 and (not self.stitches or distance_m > self.longest_m):
             self._travel(line, to)
-        elif way == 0.0 and self.stitches:
+        elif distance_m == 0.0 and self.stitches:
             self.still += 1
-        self.led = self.led or (way > 0.0 and self.stitches > 0)
+        self.led = self.led or (distance_m > 0.0 and self.stitches > 0)
         self.stitches += 1
         self._move(line, self.stitches, to)
 
-    def _long_stitch(self, line: int, to: tuple[float, float], way: float) -> None:
+    def _long_stitch(self, line: int, to: tuple[float, float], distance_m: float) -> None:
         """Travel the way of a long stitch, or enter the needle on the way, or refuse it."""
         if self.long_stitches == REFUSE:
             raise JobError(
-                f"a stitch of {way * 1e3:.4g} mm, the longest move of the machine is "
+                f"a stitch of {distance_m * 1e3:.4g} mm, the longest move of the machine is "
                 f"{self.longest_m * 1e3:.4g} mm",
                 place=Place(self.file, line),
                 remedy=f"Have it sewn in parts (--long-stitches {SPLIT}), or travelled with the "
@@ -194,8 +196,8 @@ class _Merged:
         if self.long_stitches == TRAVEL:
             self._travel(line, to)
             return
-        most = math.floor(self.longest_m / UNIT_M)
-        parts = math.ceil(round(way / UNIT_M, 6) / most)
+        longest_units = math.floor(self.longest_m / UNIT_M)
+        parts = math.ceil(round(distance_m / UNIT_M, 6) / longest_units)
         begin = self.at
         for part in range(1, parts):
             x, y = (
@@ -232,10 +234,10 @@ class _Merged:
         targets = np.array(self.targets, dtype=np.float64).reshape(-1, 2)
         numbers = np.array(self.rows, dtype=np.int64).reshape(-1, 3)
         for begin in range(first, end, _LONGEST_RUN):
-            part = slice(begin, min(begin + _LONGEST_RUN, end))
-            rows = numbers[part]
+            run_rows = slice(begin, min(begin + _LONGEST_RUN, end))
+            rows = numbers[run_rows]
             yield MoveRun(
-                targets=targets[part],
+                targets=targets[run_rows],
                 line=rows[:, 0],
                 feeds=((0, None),),
                 file=self.file,
@@ -245,16 +247,18 @@ class _Merged:
 
     def warnings(self) -> tuple[str, ...]:
         """Return warnings about the design."""
-        found = []
+        texts = []
         if self.still:
             lead = "1 stitch leads" if self.still == 1 else f"{self.still} stitches lead"
-            found.append(f"{self.file}: {lead} nowhere: the needle enters twice there")
+            texts.append(f"{self.file}: {lead} nowhere: the needle enters twice there")
         if self.long:
-            are = "1 stitch is" if self.long == 1 else f"{self.long} stitches are"
-            sewn = "sewn in parts" if self.long_stitches == SPLIT else "travelled, needle up"
+            long_text = "1 stitch is" if self.long == 1 else f"{self.long} stitches are"
+            treatment = "sewn in parts" if self.long_stitches == SPLIT else "travelled, needle up"
             other = TRAVEL if self.long_stitches == SPLIT else SPLIT
-            found.append(
-                f"{self.file}: {are} longer than {self.longest_m * 1e3:.4g} mm, the longest move "
-                f"of the machine, and {sewn}; --long-stitches {other} and {REFUSE} do otherwise"
+            texts.append(
+                f"{self.file}: {long_text} longer than {self.longest_m * 1e3:.4g} mm, the "
+                "longest move "
+                f"of the machine, and {treatment}; --long-stitches {other} and {REFUSE} do "
+                "otherwise"
             )
-        return tuple(found)
+        return tuple(texts)

@@ -19,7 +19,7 @@ READERS = {
     ".u01": "U01Reader",
 }
 """Module of pystitch that reads each format, by the ending of the file."""
-_ENDS: dict[str, Callable[[bytes], bool]] = {
+_COMPLETE_TESTS: dict[str, Callable[[bytes], bool]] = {
     # The JEF reader takes two more bytes if the file has them.
     ".jef": lambda read: b"\x80\x10" in (read[-4:-2], read[-3:-1], read[-2:]),
     ".xxx": lambda read: read[-4:-2] in (b"\x7f\x7f", b"\x7f\x18"),
@@ -46,10 +46,10 @@ class _Stream(io.BytesIO):
     short = False
 
     def read(self, size: int | None = -1, /) -> bytes:
-        found = super().read(size)
-        if size is not None and 0 <= len(found) < size:
+        content = super().read(size)
+        if size is not None and 0 <= len(content) < size:
             self.short = True
-        return found
+        return content
 
 
 class _Watched(EmbPattern):  # type: ignore[misc]
@@ -61,11 +61,11 @@ class _Watched(EmbPattern):  # type: ignore[misc]
 
     def end(self, dx: float = 0, dy: float = 0) -> None:
         """Add the end of the design; raise ``CutOffError`` if the file is cut off there."""
-        at = self._stream.tell()
-        whole = _ENDS.get(self._suffix)
-        last = self._stream.getvalue()[max(0, at - 4) : at]
-        if whole is not None and not whole(last):
-            raise CutOffError(f"its records are cut off at byte {at}")
+        position = self._stream.tell()
+        is_complete = _COMPLETE_TESTS.get(self._suffix)
+        last = self._stream.getvalue()[max(0, position - 4) : position]
+        if is_complete is not None and not is_complete(last):
+            raise CutOffError(f"its records are cut off at byte {position}")
         super().end(dx, dy)
 
 
@@ -89,10 +89,10 @@ def read_with_peer(
         raise
     except Exception as error:
         # pystitch raises TypeError for missing bytes, IndexError for a bad palette, and others.
-        at, size = stream.tell(), len(content)
+        position, size = stream.tell(), len(content)
         why = f"it ends at byte {size}, in the middle of a record"
-        if at < size or not stream.short:
-            why = f"the bytes before byte {at} of {size} make no sense there"
+        if position < size or not stream.short:
+            why = f"the bytes before byte {position} of {size} make no sense there"
         raise SenselessError(why) from error
     stitches: list[list[float]] = pattern.stitches
     return stitches, threads_of_peer(pattern.threadlist), stream.tell()

@@ -43,15 +43,15 @@ def read_pes(content: bytes, place: Place) -> list[list[float]]:
         If the file is no PES, is cut off, or has invalid records; the error gives the byte.
     """
     block = _block(content, place)
-    found = _records(content, block + _RECORDS, place)
+    rows = _records(content, block + _RECORDS, place)
     changes, palette = content[block + _COLOURS], content[block + _COLOURS + 1 :]
     colour = 0
-    for row in found:
+    for row in rows:
         if row[2] == _COLOUR:
             colour += 1
             if colour <= changes < 0xFF and palette[colour] == palette[colour - 1]:
                 row[2] = _STOP
-    return _from_first_place(found)
+    return _from_first_place(rows)
 
 
 def palette_indices(content: bytes, place: Place) -> list[int]:
@@ -90,26 +90,26 @@ def _block(content: bytes, place: Place) -> int:
 
 def _records(content: bytes, at: int, place: Place) -> list[list[float]]:
     """Return the records from byte ``at``, with the end of the design."""
-    found: list[list[float]] = []
+    rows: list[list[float]] = []
     x = y = 0
     while True:
         if at >= len(content):
             raise _refused(place, f"its records are cut off at byte {len(content)}")
         if content[at] == _END:
-            return [*found, [x, y, _LAST]]
+            return [*rows, [x, y, _LAST]]
         if content[at : at + 2] == _CHANGE:
             if at + 3 > len(content):
                 raise _refused(place, f"its records are cut off at byte {len(content)}")
-            found.append([x, y, _COLOUR])
+            rows.append([x, y, _COLOUR])
             at += 3
             continue
         dx, flags_x, at = _number(content, at, place)
         dy, flags_y, at = _number(content, at, place)
         flags = flags_x | flags_y
         if flags & _TRIM_FLAG and not flags & _JUMP_FLAG:
-            found.append([x, y, _TRIM])
+            rows.append([x, y, _TRIM])
         x, y = x + dx, y + dy
-        found.append([x, y, _JUMP if flags & (_TRIM_FLAG | _JUMP_FLAG) else _STITCH])
+        rows.append([x, y, _JUMP if flags & (_TRIM_FLAG | _JUMP_FLAG) else _STITCH])
 
 
 def _number(content: bytes, at: int, place: Place) -> tuple[int, int, int]:
@@ -126,19 +126,19 @@ def _number(content: bytes, at: int, place: Place) -> tuple[int, int, int]:
     return (units ^ 0x800) - 0x800, first & (_TRIM_FLAG | _JUMP_FLAG), at + 2
 
 
-def _from_first_place(found: list[list[float]]) -> list[list[float]]:
+def _from_first_place(rows: list[list[float]]) -> list[list[float]]:
     """Return the records without a first jump from the corner of the design to its first place."""
-    if found[0][2] != _JUMP:
-        return found
-    x, y, _ = found[0]
-    rest = [[at_x - x, at_y - y, act] for at_x, at_y, act in found[1:]]
-    sewn = [row for row in rest if row[2] == _STITCH]
-    for rows in (rest, sewn):
-        left = min((row[0] for row in rows), default=0)
-        top = min((row[1] for row in rows), default=0)
+    if rows[0][2] != _JUMP:
+        return rows
+    x, y, _ = rows[0]
+    shifted_rows = [[at_x - x, at_y - y, act] for at_x, at_y, act in rows[1:]]
+    sewn = [row for row in shifted_rows if row[2] == _STITCH]
+    for tested_rows in (shifted_rows, sewn):
+        left = min((row[0] for row in tested_rows), default=0)
+        top = min((row[1] for row in tested_rows), default=0)
         if abs(x + left) <= _ROUNDED and abs(y + top) <= _ROUNDED:
-            return rest
-    return found
+            return shifted_rows
+    return rows
 
 
 def _refused(place: Place, why: str) -> JobError:

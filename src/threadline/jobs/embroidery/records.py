@@ -16,7 +16,7 @@ from threadline.errors import JobError, Place
 from threadline.jobs.embroidery import hus, pes, t15, threads, vp3
 from threadline.jobs.operations import Thread
 
-_OWN: dict[str, Callable[[bytes, Place], FloatArray | list[list[float]]]] = {
+_OWN_READERS: dict[str, Callable[[bytes, Place], FloatArray | list[list[float]]]] = {
     hus.SUFFIX: hus.read_hus,
     t15.SUFFIX: t15.read_t15,
     **dict.fromkeys(pes.SUFFIXES, pes.read_pes),
@@ -24,14 +24,14 @@ _OWN: dict[str, Callable[[bytes, Place], FloatArray | list[list[float]]]] = {
 }
 """Threadline's own readers, by the ending of the file; pystitch reads all other formats."""
 _PEERS = (".dst", ".exp", ".jef", ".xxx", ".u01")
-SUFFIXES = (*_PEERS, *_OWN)
+SUFFIXES = (*_PEERS, *_OWN_READERS)
 UNIT_M = 1e-4
 """Unit of length of all these formats: 0.1 mm."""
 MAX_BYTES = 64 * 1024 * 1024
 _DST_HEADER, _DST_RECORD = 512, 3
 _DST_FILL = b"\x1a"
 _DST_PADDING = b"\x00\x1a "
-_SIGNS = (1, -1, 1, -1)
+_EXTENT_SIGNS = (1, -1, 1, -1)
 _DST_FIELD = re.compile(rb"(ST|[+-][XY]|A[XY]):([+-]? *\d+)[\r\n]")
 
 
@@ -95,20 +95,20 @@ def read_records(path: Path) -> Records:
         )
     suffix = path.suffix.lower()
     warnings = _check_dst(content, place) if suffix == ".dst" else ()
-    own = _OWN.get(suffix)
+    own_reader = _OWN_READERS.get(suffix)
     decoded: FloatArray | list[list[float]]
-    if own is None:
-        decoded, held = _decoded(content, suffix, place)
+    if own_reader is None:
+        decoded, thread_list = _decoded(content, suffix, place)
     else:
-        decoded = own(content, place)
-        held = threads.READERS[suffix](content, place) if suffix in threads.READERS else []
+        decoded = own_reader(content, place)
+        thread_list = threads.READERS[suffix](content, place) if suffix in threads.READERS else []
     table = np.array(decoded, dtype=np.float64).reshape(len(decoded), 3)
     if not np.isfinite(table).all():
         raise _not_of_its_format(suffix, "a place that is not a number", place)
     act = table[:, 2].astype(np.int64) & 0xFF
-    foreign = np.flatnonzero(~np.isin(act, _KNOWN))
-    if len(foreign):
-        first = int(foreign[0])
+    unknown = np.flatnonzero(~np.isin(act, _KNOWN))
+    if len(unknown):
+        first = int(unknown[0])
         raise JobError(
             f"record {first + 1} has a command that no machine here executes (code "
             f"{int(act[first])})",
@@ -118,7 +118,7 @@ def read_records(path: Path) -> Records:
     # The readers return Y down.
     position = table[:, :2] * np.array([UNIT_M, -UNIT_M]) + 0.0
     return Records(
-        position_m=position, act=act, content=content, threads=tuple(held), warnings=warnings
+        position_m=position, act=act, content=content, threads=tuple(thread_list), warnings=warnings
     )
 
 
@@ -144,16 +144,16 @@ def _decoded(
     from threadline.jobs.embroidery.peer_readers import CutOffError, SenselessError, read_with_peer
 
     try:
-        stitches, held, read = read_with_peer(content, suffix)
+        stitches, thread_list, bytes_read = read_with_peer(content, suffix)
     except CutOffError as error:
         raise _not_of_its_format(suffix, str(error), place) from error
     except SenselessError as error:
         raise _not_of_its_format(suffix, str(error), place) from error
-    if suffix == ".exp" and (read < len(content) or len(content) % 2):
+    if suffix == ".exp" and (bytes_read < len(content) or len(content) % 2):
         # EXP has no end mark: the bytes that the reader left would be lost.
-        why = f"byte {read - 2} of {len(content)} is no record"
+        why = f"byte {bytes_read - 2} of {len(content)} is no record"
         raise _not_of_its_format(suffix, why, place)
-    return stitches, held
+    return stitches, thread_list
 
 
 def _not_of_its_format(suffix: str, why: str, place: Place) -> JobError:
@@ -176,9 +176,12 @@ def _check_dst(content: bytes, place: Place) -> tuple[str, ...]:
     marks = np.frombuffer(records[: count * _DST_RECORD], dtype=np.uint8)
     ends = np.flatnonzero(marks[2::_DST_RECORD] & 0xF3 == 0xF3)
     if len(ends):
-        behind = len(records[(int(ends[0]) + 1) * _DST_RECORD :].strip(_DST_PADDING))
+        bytes_behind = len(records[(int(ends[0]) + 1) * _DST_RECORD :].strip(_DST_PADDING))
         return (
-            *([f"{place}: {behind} bytes behind the mark of its end are left out"] * (behind > 0)),
+            *(
+                [f"{place}: {bytes_behind} bytes behind the mark of its end are left out"]
+                * (bytes_behind > 0)
+            ),
             *_other_extents(content, place),
         )
     if records[count * _DST_RECORD :] in {b"", _DST_FILL} and _is_whole_dst(content, count):
@@ -196,17 +199,17 @@ def _check_dst(content: bytes, place: Place) -> tuple[str, ...]:
 def _other_extents(content: bytes, place: Place) -> tuple[str, ...]:
     """Return a warning if the records of a DST file reach elsewhere than its header says."""
     stated = _dst_header(content)
-    said = [stated.get(key, 0) for key in ("+X", "-X", "+Y", "-Y")]
-    if not any(said):
+    stated_extents = [stated.get(key, 0) for key in ("+X", "-X", "+Y", "-Y")]
+    if not any(stated_extents):
         return ()
-    found = _extents(np.array(_decoded(content, ".dst", Place(""))[0], dtype=np.float64))
-    if found[:2] == said[:2] and sorted(found[2:]) == sorted(said[2:]):
+    extents = _extents(np.array(_decoded(content, ".dst", Place(""))[0], dtype=np.float64))
+    if extents[:2] == stated_extents[:2] and sorted(extents[2:]) == sorted(stated_extents[2:]):
         return ()
     header, reached = (
         "X {1:g} to {0:g} and Y {3:g} to {2:g}".format(
-            *(n / 10 * s + 0.0 for n, s in zip(of, _SIGNS, strict=True))
+            *(n / 10 * s + 0.0 for n, s in zip(reach, _EXTENT_SIGNS, strict=True))
         )
-        for of in (said, found)
+        for reach in (stated_extents, extents)
     )
     return (
         f"{place}: its header says that the design reaches {header} mm; its records reach "

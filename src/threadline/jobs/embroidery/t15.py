@@ -50,51 +50,58 @@ def read_t15(content: bytes, place: Place) -> list[list[float]]:
     size, kind, zero = struct.unpack_from("<3I", content)
     if (size * HEADER, kind, zero) != (len(content), _KIND, 0):
         raise _refused(place, f"its header says {size}, {kind}, {zero}: no T15 card of its size")
-    x, y, at, sewing, before = 0, 0, FIRST, False, 0
-    found: list[list[float]] = []
+    x, y, offset, sewing, last_function = 0, 0, FIRST, False, 0
+    rows: list[list[float]] = []
     while True:
-        if at + RECORD > len(content):
-            raise _refused(place, f"it ends at {at:#x} without the record of its end")
-        function = content[at]
-        holes = content[at + 1 : at + RECORD]
+        if offset + RECORD > len(content):
+            raise _refused(place, f"it ends at {offset:#x} without the record of its end")
+        function = content[offset]
+        holes = content[offset + 1 : offset + RECORD]
         if function == END:
             break
         for k, byte in enumerate(holes):
             if byte & 0xC0 or byte & 7 == 7 or byte >> 3 & 7 == 7:
-                raise _refused(place, f"the byte {byte:#04x} at {at + 1 + k:#x} is no displacement")
+                raise _refused(
+                    place, f"the byte {byte:#04x} at {offset + 1 + k:#x} is no displacement"
+                )
         first, second, third = holes
         dx = _digits(first, first >> 3, second)
         dy = _digits(second >> 3, third, third >> 3)
         x, y = x + dx, y + dy
         if function == MOVE:
             if sewing or dx or dy:
-                found.append([x, -y, _STITCH if sewing else _JUMP])
+                rows.append([x, -y, _STITCH if sewing else _JUMP])
         elif function == CHANGE:
-            found.append([x, -y, _COLOUR])
+            rows.append([x, -y, _COLOUR])
         elif function in {OUTER, INNER}:
             if dx or dy:
-                raise _refused(place, f"the function {function:#04x} at {at:#x} moves")
-            if before in {OUTER, INNER} and before != function:
+                raise _refused(place, f"the function {function:#04x} at {offset:#x} moves")
+            if last_function in {OUTER, INNER} and last_function != function:
                 if sewing != (function == OUTER):
-                    raise _refused(place, f"the function {function:#04x} at {at:#x} is out of turn")
+                    raise _refused(
+                        place, f"the function {function:#04x} at {offset:#x} is out of turn"
+                    )
                 sewing = not sewing
                 if sewing:
-                    found.append([x, -y, _STITCH])
+                    rows.append([x, -y, _STITCH])
                 function = 0
         else:
-            raise _refused(place, f"the function {function:#04x} at {at:#x} is not known")
-        before = function
-        at += RECORD
-    rest = content[at + 1 :]
+            raise _refused(place, f"the function {function:#04x} at {offset:#x} is not known")
+        last_function = function
+        offset += RECORD
+    rest = content[offset + 1 :]
     if any(rest):
-        wrong = at + 1 + next(k for k, byte in enumerate(rest) if byte)
-        raise _refused(place, f"the byte {content[wrong]:#04x} at {wrong:#x} stands behind its end")
+        wrong_offset = offset + 1 + next(k for k, byte in enumerate(rest) if byte)
+        raise _refused(
+            place,
+            f"the byte {content[wrong_offset]:#04x} at {wrong_offset:#x} stands behind its end",
+        )
     # A change after the last stitch only cuts the thread.
-    sewn = [k for k, row in enumerate(found) if row[2] == _STITCH]
-    for row in found[sewn[-1] :] if sewn else ():
+    sewn = [k for k, row in enumerate(rows) if row[2] == _STITCH]
+    for row in rows[sewn[-1] :] if sewn else ():
         if row[2] == _COLOUR:
             row[2] = _TRIM
-    return [*found, [x, -y, _LAST]]
+    return [*rows, [x, -y, _LAST]]
 
 
 def t15_bytes(units: IntArray, sewn: IntArray, changes: set[int]) -> bytes:
@@ -117,25 +124,25 @@ def t15_bytes(units: IntArray, sewn: IntArray, changes: set[int]) -> bytes:
     records = [_record(MOVE, 0, 0)] * _BLANKS[0]
     down = False
 
-    def needle(wanted: bool) -> None:
+    def needle(wanted_down: bool) -> None:
         nonlocal down
-        if wanted != down:
-            pair = (OUTER, INNER) if wanted else (INNER, OUTER)
+        if wanted_down != down:
+            pair = (OUTER, INNER) if wanted_down else (INNER, OUTER)
             records.extend(_record(function, 0, 0) for function in pair)
-            down = wanted
+            down = wanted_down
 
-    for k, (way, stitch) in enumerate(zip(units.tolist(), sewn.tolist(), strict=True)):
+    for k, (step, stitch) in enumerate(zip(units.tolist(), sewn.tolist(), strict=True)):
         if k in changes:
             needle(False)
             records.append(_record(CHANGE, 0, 0))
         # The needle is up on the way to the first stitch of a stretch, which is in place.
-        begins = bool(stitch) and not down
+        begins_stretch = bool(stitch) and not down
         if not stitch:
             needle(False)
-        parts = max(1, -(-max(map(abs, way)) // MOST)) if begins or not stitch else 1
-        if not begins or way != [0, 0]:
-            done = np.rint(np.outer(np.arange(parts + 1) / parts, way)).astype(int)
-            records += [_record(MOVE, dx, dy) for dx, dy in np.diff(done, axis=0).tolist()]
+        parts = max(1, -(-max(map(abs, step)) // MOST)) if begins_stretch or not stitch else 1
+        if not begins_stretch or step != [0, 0]:
+            places = np.rint(np.outer(np.arange(parts + 1) / parts, step)).astype(int)
+            records += [_record(MOVE, dx, dy) for dx, dy in np.diff(places, axis=0).tolist()]
         needle(bool(stitch))
     needle(False)
     if len(units) in changes:
@@ -155,16 +162,16 @@ def _record(function: int, dx: int, dy: int) -> bytes:
     return bytes([function, x0 | x1 << 3, x2 | y0 << 3, y1 | y2 << 3])
 
 
-def _holes(way: int) -> tuple[int, int, int]:
+def _holes(units: int) -> tuple[int, int, int]:
     """Return the holes for the base-7 digits (-3 to 3) of a displacement, lowest digit first."""
-    if abs(way) > MOST:
-        raise ValueError(f"a way of {way} units: a record holds {MOST}")
-    found = []
+    if abs(units) > MOST:
+        raise ValueError(f"a way of {units} units: a record holds {MOST}")
+    digits = []
     for _ in range(3):
-        digit = (way + 3) % 7 - 3
-        found.append(_HOLES[digit])
-        way = (way - digit) // 7
-    return found[0], found[1], found[2]
+        digit = (units + 3) % 7 - 3
+        digits.append(_HOLES[digit])
+        units = (units - digit) // 7
+    return digits[0], digits[1], digits[2]
 
 
 def _refused(place: Place, why: str) -> JobError:

@@ -64,11 +64,11 @@ def dst_bytes(units: IntArray, sewn: IntArray, events: Mapping[int, list[str]], 
     """
     records: list[bytes] = []
     changes = 0
-    for act, dx, dy in _parts(units, sewn, events, DST_MOST):
+    for act, dx, dy in _record_parts(units, sewn, events, DST_MOST):
         if act in {"stitch", "jump"}:
             records.append(_dst_record(dx, dy, 0x03 | (_JUMP if act == "jump" else 0)))
         elif act == "trim":
-            records += [_dst_record(*way, 0x03 | _JUMP) for way in _TRIM_WAYS]
+            records += [_dst_record(*step, 0x03 | _JUMP) for step in _TRIM_WAYS]
         elif act in {"stop", "colour"}:
             records.append(bytes((0, 0, _CHANGE)))
             changes += 1
@@ -77,7 +77,7 @@ def dst_bytes(units: IntArray, sewn: IntArray, events: Mapping[int, list[str]], 
     fields = [
         f"LA:{label:<16}", f"ST:{len(records):7}", f"CO:{changes:3}",
         f"+X:{right:5}", f"-X:{-left:5}", f"+Y:{high:5}", f"-Y:{-low:5}",
-        *(f"{key}:{'-' if at < 0 else '+'}{abs(at):5}" for key, at in (("AX", x), ("AY", y))),
+        *(f"{key}:{'-' if last < 0 else '+'}{abs(last):5}" for key, last in (("AX", x), ("AY", y))),
         "MX:+    0", "MY:+    0", "PD:******",
     ]  # fmt: skip
     head = "".join(f"{field}\r" for field in fields).encode("ascii") + b"\x1a"
@@ -97,7 +97,7 @@ def u01_bytes(units: IntArray, sewn: IntArray, events: Mapping[int, list[str]]) 
         record that moves.
     """
     records, pace, needle = [_u01_record(_U01_STOP + 1, 0, 0)], 0, 1
-    for act, dx, dy in _parts(units, sewn, events, U01_MOST):
+    for act, dx, dy in _record_parts(units, sewn, events, U01_MOST):
         if act in _U01_PACE:
             pace = _U01_PACE[act]
         elif act == "trim":
@@ -120,16 +120,16 @@ def u01_bytes(units: IntArray, sewn: IntArray, events: Mapping[int, list[str]]) 
     return head.ljust(_HEADER[U01], b"\0") + b"".join(records) + bytes((_U01_END, 0, 0))
 
 
-def _parts(
+def _record_parts(
     units: IntArray, sewn: IntArray, events: Mapping[int, list[str]], most: int
 ) -> Iterator[Part]:
     """Yield the records of a design; a displacement above ``most`` is jumps and its own act."""
-    for k, (way, stitch) in enumerate(zip(units.tolist(), sewn.tolist(), strict=True)):
+    for k, (step, stitch) in enumerate(zip(units.tolist(), sewn.tolist(), strict=True)):
         for name in events.get(k, ()):
             yield name, 0, 0
-        count = max(1, -(-max(map(abs, way)) // most))
-        done = np.rint(np.outer(np.arange(count + 1) / count, way)).astype(int).tolist()
-        for number, (before, after) in enumerate(pairwise(done), 1):
+        count = max(1, -(-max(map(abs, step)) // most))
+        places = np.rint(np.outer(np.arange(count + 1) / count, step)).astype(int).tolist()
+        for number, (before, after) in enumerate(pairwise(places), 1):
             last = number == count
             act = "stitch" if stitch and last else "jump"
             yield act, after[0] - before[0], after[1] - before[1]
@@ -146,16 +146,16 @@ def _extents(units: IntArray) -> tuple[int, int, int, int, int, int]:
 
 
 def _dst_record(dx: int, dy: int, last: int) -> bytes:
-    found = [0, 0, last]
-    for way, forward, back in ((dx, 1, 2), (dy, 3, 4)):
-        rest, digit = way, 1
+    record = [0, 0, last]
+    for units, forward, backward in ((dx, 1, 2), (dy, 3, 4)):
+        rest, digit = units, 1
         while rest:
             sign = (rest + 1) % 3 - 1
             if sign:
                 bits = _BITS[digit]
-                found[bits[0]] |= 1 << bits[forward if sign > 0 else back]
+                record[bits[0]] |= 1 << bits[forward if sign > 0 else backward]
             rest, digit = (rest - sign) // 3, digit * 3
-    return bytes(found)
+    return bytes(record)
 
 
 def _u01_record(act: int, dx: int, dy: int) -> bytes:

@@ -25,8 +25,8 @@ def hus_threads(content: bytes, place: Place) -> list[Thread | None]:  # noqa: A
     """Return the threads of a HUS file, from the indices of 16 bits behind its header."""
     count = int.from_bytes(content[_HUS_COLOURS], "little")
     end = min(_HUS_INDICES + 2 * count, int.from_bytes(content[_HUS_COLUMN], "little"))
-    held = content[_HUS_INDICES:end]
-    pairs = zip(held[::2], held[1::2], strict=False)
+    index_bytes = content[_HUS_INDICES:end]
+    pairs = zip(index_bytes[::2], index_bytes[1::2], strict=False)
     return _from_palette("EmbThreadHus", [low | high << 8 for low, high in pairs])
 
 
@@ -49,8 +49,8 @@ READERS: dict[str, Callable[[bytes, Place], list[Thread | None]]] = {
 def threads_of_peer(found: Iterable[object]) -> list[Thread | None]:
     """Return the threads that a reader of pystitch found; None where it found no colour."""
     return [
-        None if one is None else Thread(one.hex_color(), str(one.description or ""))  # type: ignore[attr-defined]
-        for one in found
+        None if thread is None else Thread(thread.hex_color(), str(thread.description or ""))  # type: ignore[attr-defined]
+        for thread in found
     ]
 
 

@@ -35,11 +35,11 @@ class _Bytes:
         JobError
             If the file has fewer bytes left.
         """
-        found = self._content[self.at : self.at + size]
-        if len(found) < size:
+        part = self._content[self.at : self.at + size]
+        if len(part) < size:
             raise self.refused(f"it is cut off at byte {len(self._content)}")
         self.at += size
-        return found
+        return part
 
     def number(self, size: int) -> int:
         """Return the next signed number of ``size`` bytes."""
@@ -68,12 +68,12 @@ def read_vp3(content: bytes, place: Place) -> list[list[float]]:
     """
     source = _Bytes(content, place)
     centre, blocks = _header(source)
-    found: list[list[float]] = []
+    rows: list[list[float]] = []
     for block in range(blocks):
         if block:
-            found.append([*found[-1][:2], _COLOUR] if found else [0.0, 0.0, _COLOUR])
-        _colour_block(source, centre, found)
-    return [*found, [*found[-1][:2], _LAST]] if found else [[0.0, 0.0, _LAST]]
+            rows.append([*rows[-1][:2], _COLOUR] if rows else [0.0, 0.0, _COLOUR])
+        _colour_block(source, centre, rows)
+    return [*rows, [*rows[-1][:2], _LAST]] if rows else [[0.0, 0.0, _LAST]]
 
 
 def read_threads(content: bytes, place: Place) -> list[tuple[bytes, str]]:
@@ -86,15 +86,15 @@ def read_threads(content: bytes, place: Place) -> list[tuple[bytes, str]]:
     """
     source = _Bytes(content, place)
     _, blocks = _header(source)
-    found = []
+    threads = []
     for _ in range(blocks):
         source.take(3)
         size = source.number(4)
         end = source.at + size
         source.take(8)
-        found.append(_thread(source))
+        threads.append(_thread(source))
         source.take(end - source.at)
-    return found
+    return threads
 
 
 def _header(source: _Bytes) -> tuple[tuple[float, float], int]:
@@ -126,35 +126,35 @@ def _thread(source: _Bytes) -> tuple[bytes, str]:
     return colour, name
 
 
-def _colour_block(source: _Bytes, centre: tuple[float, float], found: list[list[float]]) -> None:
-    """Append the records of a colour block to ``found``."""
+def _colour_block(source: _Bytes, centre: tuple[float, float], rows: list[list[float]]) -> None:
+    """Append the records of a colour block to ``rows``."""
     source.take(3)
     size = source.number(4)
     end = source.at + size
     x = source.number(4) / _PER_UNIT + centre[0]
     y = -source.number(4) / _PER_UNIT + centre[1]
-    if [x, y] != (found[-1][:2] if found else [0.0, 0.0]):
-        found.append([x, y, _JUMP])
+    if [x, y] != (rows[-1][:2] if rows else [0.0, 0.0]):
+        rows.append([x, y, _JUMP])
     _thread(source)
     source.take(18)
     if end < source.at:
         raise source.refused(f"its block of {size} bytes ends before its stitches")
     records = source.take(end - source.at)
-    begin, at = end - len(records), 0
-    while at + 1 < len(records):
-        dx, dy = records[at], records[at + 1]
-        at += 2
+    begin, index = end - len(records), 0
+    while index + 1 < len(records):
+        dx, dy = records[index], records[index + 1]
+        index += 2
         if dx != _ESCAPE:
             x, y = x + (dx ^ 0x80) - 0x80, y + (dy ^ 0x80) - 0x80
-            found.append([x, y, _STITCH])
+            rows.append([x, y, _STITCH])
         elif dy == _LONG:
-            if at + 4 > len(records):
-                raise source.refused(f"the long stitch at byte {begin + at - 2} is not whole")
-            x += int.from_bytes(records[at : at + 2], "big", signed=True)
-            y += int.from_bytes(records[at + 2 : at + 4], "big", signed=True)
-            found.append([x, y, _STITCH])
-            at += 6
+            if index + 4 > len(records):
+                raise source.refused(f"the long stitch at byte {begin + index - 2} is not whole")
+            x += int.from_bytes(records[index : index + 2], "big", signed=True)
+            y += int.from_bytes(records[index + 2 : index + 4], "big", signed=True)
+            rows.append([x, y, _STITCH])
+            index += 6
         elif dy == _CUT:
-            found.append([x, y, _TRIM])
+            rows.append([x, y, _TRIM])
         elif dy != _BEHIND_LONG:
-            raise source.refused(f"the bytes 0x80 {dy:#04x} at {begin + at - 2} are no record")
+            raise source.refused(f"the bytes 0x80 {dy:#04x} at {begin + index - 2} are no record")

@@ -159,20 +159,23 @@ def parse_line(text: str, line: int, reading: Reading) -> tuple[Block, ...]:
     if dialect.name == "klipper":
         from threadline.jobs.gcode.klipper_commands import named_command
 
-        named = named_command(text, place, without_macros=MACROS in reading.dropped)
-        if named is not None:
-            return (_named_block(named, line),)
+        command_name = named_command(text, place, without_macros=MACROS in reading.dropped)
+        if command_name is not None:
+            return (_named_block(command_name, line),)
     if dialect.one_command:
         texts = commands_of(text, dialect.name, place)
     else:
         check_line(text, dialect.grammar, dialect.name, place)
         texts = [text]
-    free, inner = not dialect.semicolon_ends, dialect.grammar.inner
-    raws = [split_words(one, reading.file, line, one_block=free, inner=inner) for one in texts]
-    blocks = tuple(block_of(raw, line, reading) for raw in raws if raw.words)
-    said = text_of_stop(text) if dialect.one_command and len(blocks) == 1 else ""
-    if said and blocks[0].ends == "stop" and blocks[0].acts:
-        return (blocks[0]._replace(acts=(*blocks[0].acts, said)),)
+    one_block, inner = not dialect.semicolon_ends, dialect.grammar.inner
+    split_blocks = [
+        split_words(command, reading.file, line, one_block=one_block, inner=inner)
+        for command in texts
+    ]
+    blocks = tuple(block_of(words, line, reading) for words in split_blocks if words.words)
+    stop_text = text_of_stop(text) if dialect.one_command and len(blocks) == 1 else ""
+    if stop_text and blocks[0].ends == "stop" and blocks[0].acts:
+        return (blocks[0]._replace(acts=(*blocks[0].acts, stop_text)),)
     return blocks
 
 
@@ -213,8 +216,8 @@ def block_of(  # noqa: PLR0915 - one loop over the words, the hot path of the re
     dwell_s: float | None = None
     p_number = ""
     waits = output = False
-    seen = length = tool = ""
-    back: tuple[int, ...] = ()
+    letters_seen = length = tool = ""
+    negative_axes: tuple[int, ...] = ()
     groups: tuple[str, ...] = ()
     for letter, number in words:
         value = exact(number)
@@ -268,18 +271,18 @@ def block_of(  # noqa: PLR0915 - one loop over the words, the hot path of the re
                 acts = (*acts, f"M{code}")
             if dialect.one_command:
                 if acts:
-                    own = words[words.index((letter, number)) + 1 :]
-                    acts = (*acts, *map("".join, own))
-                    power = next((float(text) for name, text in own if name == "S"), 0.0)
+                    own_words = words[words.index((letter, number)) + 1 :]
+                    acts = (*acts, *map("".join, own_words))
+                    power = next((float(text) for name, text in own_words if name == "S"), 0.0)
                 break
             continue
-        if letter in seen:
+        if letter in letters_seen:
             raise JobError(
                 f"the word {letter} stands twice in the block",
                 place=Place(reading.file, line),
                 remedy="Keep one of them.",
             )
-        seen += letter
+        letters_seen += letter
         if action == 40 and letter in dialect.dwell_s:
             p = value if letter == "P" else p
             if dwell_s is not None and not dialect.one_command:
@@ -299,7 +302,7 @@ def block_of(  # noqa: PLR0915 - one loop over the words, the hot path of the re
                 refuse_without_point(letter, number, line, reading)
             axes = (*axes, (index, value))
             if number.startswith("-") and index in reading.wrapped:
-                back = (*back, index)
+                negative_axes = (*negative_axes, index)
         elif letter in reading.dropped:
             idle = (*idle, letter)
         elif letter == "F":
@@ -334,7 +337,7 @@ def block_of(  # noqa: PLR0915 - one loop over the words, the hot path of the re
         acts = (length, *acts)  # only the control knows this length, so its word is kept
     if curve and 640 in settings and not axes and motion not in (*_CURVED, *DRILLING):
         # G64 P Q sets how far LinuxCNC's planner may leave the path; the reader ignores it.
-        curve = tuple(one for one in curve if one[0] != "Q")
+        curve = tuple(word for word in curve if word[0] != "Q")
     if action in (SHIFT, SET_NATIVE, 280) and not axes and not reading.dropped.isdisjoint(idle):
         action = -1  # it names axes that the user leaves out; without words it would take all axes
     if action == 40 and dwell_s is None and p is not None:  # P stands before G4
@@ -343,7 +346,7 @@ def block_of(  # noqa: PLR0915 - one loop over the words, the hot path of the re
         line, motion, action, settings, axes, feed, p, passes or 0, curve,
         dwell_s or 0.0, program, ends, spindle, waits, idle, label, tags,
         (*acts, f"P{p_number}") if output else acts, power, length,
-        back,
+        negative_axes,
     )  # fmt: skip
     if (
         p is not None or action != -1 or feed is not None or program == 98 or passes is not None
@@ -368,14 +371,14 @@ def _check_use(
     if p is not None and p < 0 and not taken:  # a control point may lie anywhere
         raise JobError(f"P {p / ONE:g} must not be negative", place=place)
     if action == 40 and (axes or dwell_s is None):
-        what = "has no P" if dwell_s is None else "stands with axis words"
+        fault = "has no P" if dwell_s is None else "stands with axis words"
         raise JobError(
-            f"G4 {what}", place=place, remedy="Write a dwell as a block G4 P with its time."
+            f"G4 {fault}", place=place, remedy="Write a dwell as a block G4 P with its time."
         )
     if dwell_s is not None and dwell_s < 0:
         raise JobError(f"the dwell of {dwell_s:g} s must not be negative", place=place)
-    beside = action == 280 and motion in (0, 1) and reading.dialect.home_beside
-    if action in TAKES_AXES and motion not in (-1, CANCEL) and not beside:
+    home_with_motion = action == 280 and motion in (0, 1) and reading.dialect.home_beside
+    if action in TAKES_AXES and motion not in (-1, CANCEL) and not home_with_motion:
         raise JobError(
             f"G{action / 10:g} and G{motion} both take the axis words of the block",
             place=place,
@@ -383,8 +386,8 @@ def _check_use(
         )
     users = (action == 40) + (program == 98) + (640 in block.settings) + taken
     if p is not None and users != 1:
-        what = "has no use in this block" if users == 0 else "could belong to two words"
-        raise JobError(f"P {what}", place=place, remedy="P belongs to G4, G64 or M98.")
+        fault = "has no use in this block" if users == 0 else "could belong to two words"
+        raise JobError(f"P {fault}", place=place, remedy="P belongs to G4, G64 or M98.")
     if program == 98 and (p is None or p % ONE or p > _MAX_LABEL * ONE):
         raise JobError(
             f"M98 needs the number of a subroutine as P from 0 to {_MAX_LABEL}",
@@ -395,8 +398,8 @@ def _check_use(
     if passes is not None and program != 98 and not drills:
         raise JobError("L has no use in this block", place=place, remedy="L belongs to M98.")
     if passes == 0:
-        what = "calls the subroutine" if program == 98 else "drills"
-        raise JobError(f"L 0 {what} no times", place=place, remedy="Give L 1 or more.")
+        fault = "calls the subroutine" if program == 98 else "drills"
+        raise JobError(f"L 0 {fault} no times", place=place, remedy="Give L 1 or more.")
     if action in (SHIFT, SET_NATIVE) and not axes:
         raise JobError(
             f"G{action / 10:g} names no axis",

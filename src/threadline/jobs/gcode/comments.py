@@ -48,8 +48,8 @@ def name_of(book: IntArray, which: int) -> str:
     >>> book[DIGITS : DIGITS + 2].tolist(), book[DECIMALS : DECIMALS + 2].tolist()
     ([255, 3], [1, -1])
     """
-    at = _NAME + which * _LETTERS
-    return bytes(book[at : at + book[_SIZE + which]].tolist()).decode("ascii")
+    name_begin = _NAME + which * _LETTERS
+    return bytes(book[name_begin : name_begin + book[_SIZE + which]].tolist()).decode("ascii")
 
 
 def _follow_comment(  # noqa: PLR0915 - one loop over the bytes; calls would cost half the speed
@@ -74,12 +74,12 @@ def _follow_comment(  # noqa: PLR0915 - one loop over the bytes; calls would cos
             (UPPER_A <= d <= UPPER_Z) or (LOWER_A <= d <= LOWER_Z) or d == EQUALS or d == UNDERSCORE
         ):
             return NOT_PLAIN
-    named = behind_words and at < end and data[at] != COMMA
-    right = True
+    has_tags = behind_words and at < end and data[at] != COMMA
+    is_valid = True
     known = book[KNOWN]
-    in_block = seen = 0
+    in_block = seen_names = 0
     which = -1
-    while named:
+    while has_tags:
         while at < end and (data[at] == BLANK or data[at] == TAB or data[at] == COMMA):
             at += 1
         if at >= end or data[at] == LF or (at + 1 < end and data[at] == CR and data[at + 1] == LF):
@@ -112,7 +112,7 @@ def _follow_comment(  # noqa: PLR0915 - one loop over the bytes; calls would cos
                     break
                 size += 1
             if size == 0 or at + size >= end or data[at + size] != EQUALS:
-                named = False
+                has_tags = False
                 break
             if known < NAMES and size <= _LETTERS:
                 which = known
@@ -121,7 +121,7 @@ def _follow_comment(  # noqa: PLR0915 - one loop over the bytes; calls would cos
                 book[_SIZE + which] = size
                 known += 1
             else:
-                right = False  # no room
+                is_valid = False  # no room
                 which = 0
         at += size + 1
         negative = at < end and data[at] == MINUS
@@ -140,8 +140,8 @@ def _follow_comment(  # noqa: PLR0915 - one loop over the bytes; calls would cos
                 break
             at += 1
         decimals = 0 if whole == -1 else digits - whole
-        right = right and 0 < digits <= MAX_DIGITS and seen & (1 << which) == 0
-        seen |= 1 << which
+        is_valid = is_valid and 0 < digits <= MAX_DIGITS and seen_names & (1 << which) == 0
+        seen_names |= 1 << which
         while at < end:
             c = data[at]
             if c <= COMMA and (c == BLANK or c == TAB or c == COMMA or c == LF):
@@ -149,19 +149,19 @@ def _follow_comment(  # noqa: PLR0915 - one loop over the bytes; calls would cos
             if c == CR and at + 1 < end and data[at + 1] == LF:
                 break
             if c == EQUALS:
-                named = False
+                has_tags = False
                 break
             if c < BLANK or c > LAST_ASCII or c == SEMICOLON or c == OPEN:
                 return NOT_PLAIN
-            right = False  # a letter in the number
+            is_valid = False  # a letter in the number
             at += 1
-        if named and right:
+        if has_tags and is_valid:
             book[WHICH + in_block] = which
             book[DIGITS + in_block] = number
             book[DECIMALS + in_block] = ~decimals if negative else decimals
             in_block += 1
-    if named:
-        if not right:
+    if has_tags:
+        if not is_valid:
             return NOT_PLAIN
         book[KNOWN], book[IN_BLOCK] = known, in_block
         return at

@@ -118,10 +118,10 @@ def refuse_number(
     letter: str, number: str, value: int | None, line: int, reading: Reading
 ) -> NoReturn:
     """Refuse a number that is too fine or too large."""
-    fine = value is None and len(number.partition(".")[0].lstrip("+-").lstrip("0")) <= 12
-    what = "has more than 17 decimals" if fine else "is beyond 10^12"
+    is_too_fine = value is None and len(number.partition(".")[0].lstrip("+-").lstrip("0")) <= 12
+    fault = "has more than 17 decimals" if is_too_fine else "is beyond 10^12"
     raise JobError(
-        f"the number of {letter} {_short(number)} {what}",
+        f"the number of {letter} {_short(number)} {fault}",
         place=Place(reading.file, line),
         remedy="Write a number that a machine can use.",
     )
@@ -139,14 +139,14 @@ def refuse_without_point(letter: str, number: str, line: int, reading: Reading) 
 
 def refuse_axis(letter: str, number: str, place: Place, reading: Reading) -> NoReturn:
     """Refuse the word of an axis that the machine lacks; the error says how axes are renamed."""
-    called = [
+    axis_words = [
         name if reading.names[index] == name else f"{reading.names[index]} (here {name})"
         for name, index in reading.axes.items()
     ]
     raise JobError(
         f"{letter} {_short(number)}: the machine {reading.machine!r} has no axis {letter}",
         place=place,
-        remedy=f"Its axes are {', '.join(called)}; choose another machine (-m), or rename the "
+        remedy=f"Its axes are {', '.join(axis_words)}; choose another machine (-m), or rename the "
         f'program\'s (--axes "{letter}={reading.names[-1]}"; {letter}=none leaves words out).',
     )
 
@@ -170,31 +170,33 @@ def refuse_word(letter: str, number: str, code: int, line: int, reading: Reading
             remedy="Leave the E words out (--axes E=none): the way of the head alone is then "
             "planned, without extrusion and the time of moves of E alone.",
         )
-    whole = f"{code / 10 if letter == 'G' else code:g}" if letter in "GM" else ""
-    why = WHY_IN.get(dialect.name.removesuffix("-cnc"), {}).get(f"{letter}{whole}")
-    if why is not None:
+    number_text = f"{code / 10 if letter == 'G' else code:g}" if letter in "GM" else ""
+    reason = WHY_IN.get(dialect.name.removesuffix("-cnc"), {}).get(f"{letter}{number_text}")
+    if reason is not None:
         raise JobError(
-            f"{letter}{_short(number)} is {why}",
+            f"{letter}{_short(number)} is {reason}",
             place=place,
             remedy="Write M3 S... and M5 in its place, as the servo takes them, or read the file "
             "for Marlin (--dialect marlin)."
-            if whole == "300"
+            if number_text == "300"
             else "Have the program written without it, or take it out if it changes nothing.",
         )
     known = {
-        "G": f"Known G words are {_list('G', [c / 10 for c in dialect.g])}.",
-        "M": f"Known M words are {_list('M', list(dialect.m))}.",
+        "G": f"Known G words are {_word_list('G', [c / 10 for c in dialect.g])}.",
+        "M": f"Known M words are {_word_list('M', list(dialect.m))}.",
     }.get(
         letter,
         f"Known letters are {' '.join(sorted('FGLMNOP' + dialect.idle_letters))} and the axes "
         f"{' '.join(reading.axes)}.",
     )
     others = [name for name in knowing(letter, code) if name != dialect.name] if code >= 0 else []
-    also = f" The dialect {' or '.join(others)} has it (--dialect)." if others else ""
-    raise JobError(f"unknown word {letter}{_short(number)}", place=place, remedy=f"{known}{also}")
+    dialects_hint = f" The dialect {' or '.join(others)} has it (--dialect)." if others else ""
+    raise JobError(
+        f"unknown word {letter}{_short(number)}", place=place, remedy=f"{known}{dialects_hint}"
+    )
 
 
-def _list(letter: str, codes: list[float]) -> str:
+def _word_list(letter: str, codes: list[float]) -> str:
     return " ".join(f"{letter}{code:g}" for code in sorted(codes))
 
 

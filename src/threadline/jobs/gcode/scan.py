@@ -151,9 +151,9 @@ class Scanner:
         dialect = self._reading.dialect
         ended = program is None or self._ended is not None
         if program is not None and self._ended is not None:
-            block, behind = self._ended
+            block, next_byte = self._ended
             program.closes = block.line
-            self._programs.end(block.program, behind)
+            self._programs.end(block.program, next_byte)
         elif program is not None and not dialect.needs_end:
             program.stops += 1
             program.closes = number + 1
@@ -185,7 +185,7 @@ class Scanner:
             )
         self._numbered = number
 
-    def _take(self, block: Block, offset: int, behind: int) -> None:
+    def _take(self, block: Block, offset: int, next_byte: int) -> None:
         self._tapes.check(block.line)
         programs = self._programs
         if block.label >= 0:
@@ -229,9 +229,9 @@ class Scanner:
             call = program.calls.setdefault(block.p // ONE, Call(block.line, 0))
             call.passes += block.passes or 1
         elif block.ends == "end" and program.label is None and self._reading.dialect.streams:
-            self._ended = block, behind
+            self._ended = block, next_byte
         elif block.ends in {"end", "return"}:
-            programs.end(block.program, behind)
+            programs.end(block.program, next_byte)
 
     def _go_on(self, program: Program) -> None:
         """Go on after M2 or M30 in a dialect in which they only reset the modes."""
@@ -260,8 +260,8 @@ class Scanner:
             self._lengths.take("", (), line, moves=lifts, later=False)
         (with_word,) = np.nonzero(plain.out_word[:count] >= 0)
         words, first = np.unique(plain.out_word[with_word], return_index=True)
-        for word, at in zip(words.tolist(), with_word[first].tolist(), strict=True):
-            line = int(plain.out_line[at])
+        for word, row in zip(words.tolist(), with_word[first].tolist(), strict=True):
+            line = int(plain.out_line[row])
             self.findings.feeds.feed(program, word * (ONE // STEPS), line)
 
     def _note(self, program: int | None, block: Block) -> None:

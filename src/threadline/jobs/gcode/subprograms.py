@@ -216,9 +216,9 @@ class Collector:
                     f"calls are nested more than {MAX_DEPTH} deep",
                     place=self._file.place(call.line),
                 )
-            below = self._total(callee, chain, totals)
-            moves += call.passes * below.moves
-            others += call.passes * below.others
+            callee_totals = self._total(callee, chain, totals)
+            moves += call.passes * callee_totals.moves
+            others += call.passes * callee_totals.others
         totals[program.label] = Totals(moves, others)
         return totals[program.label]
 

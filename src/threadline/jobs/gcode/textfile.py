@@ -76,20 +76,20 @@ class SourceFile:
                     remedy="Start again.",
                 )
             stream.seek(offset)
-            rest = b""
-            at = offset
+            unfinished = b""
+            position = offset
             end = self.end if end is None else min(end, self.end)
-            while at < end:
-                data = rest + stream.read(min(size, end - at - len(rest)))
-                last = at + len(data) >= end
-                cut = len(data) if last else data.rfind(b"\n") + 1
-                if cut == 0:
+            while position < end:
+                data = unfinished + stream.read(min(size, end - position - len(unfinished)))
+                is_last = position + len(data) >= end
+                whole_bytes = len(data) if is_last else data.rfind(b"\n") + 1
+                if whole_bytes == 0:
                     # One line fills the chunk: ``Lines.take`` refuses it, with its number.
-                    yield Chunk(at, data)
+                    yield Chunk(position, data)
                     return
-                yield Chunk(at, data[:cut])
-                rest = data[cut:]
-                at += cut
+                yield Chunk(position, data[:whole_bytes])
+                unfinished = data[whole_bytes:]
+                position += whole_bytes
 
 
 def first_found(file: SourceFile, pattern: str) -> tuple[int, str]:
@@ -100,16 +100,16 @@ def first_found(file: SourceFile, pattern: str) -> tuple[int, str]:
     JobError
         If the file was changed after it was hashed.
     """
-    sought = re.compile(pattern.encode("latin-1"))
-    before = 1
+    compiled = re.compile(pattern.encode("latin-1"))
+    lines_before = 1
     for _, data in file.chunks(file.begin):
-        found = sought.search(data)
-        if found is not None:
-            begin = data.rfind(b"\n", 0, found.start()) + 1
+        match = compiled.search(data)
+        if match is not None:
+            begin = data.rfind(b"\n", 0, match.start()) + 1
             line = data[begin:].partition(b"\n")[0].decode("utf-8", "replace")
-            letters = len(data[begin : found.start()].decode("utf-8", "ignore"))
-            return before + data.count(b"\n", 0, begin), line[letters]
-        before += data.count(b"\n")
+            letters = len(data[begin : match.start()].decode("utf-8", "ignore"))
+            return lines_before + data.count(b"\n", 0, begin), line[letters]
+        lines_before += data.count(b"\n")
     return 0, ""
 
 

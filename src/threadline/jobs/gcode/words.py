@@ -99,9 +99,9 @@ def without_comments(
     if "(" in code or ")" in code:
         code = (_TO_THE_FIRST_END if inner else _PARENTHESES).sub(" ", code)
         if "(" in code or ")" in code:
-            wrong = "is opened and not closed" if "(" in code else "is closed and not opened"
+            fault = "is opened and not closed" if "(" in code else "is closed and not opened"
             raise JobError(
-                f"a comment in parentheses {wrong}",
+                f"a comment in parentheses {fault}",
                 place=Place(file, line),
                 remedy="Put a comment between one ( and one ) on the same line.",
             )
@@ -122,13 +122,13 @@ def _cut_at_semicolon(text: str) -> tuple[str, str, str]:
     if "(" not in text:
         return text.partition(";")
     open_ = False
-    for at, character in enumerate(text):
+    for position, character in enumerate(text):
         if character == "(":
             open_ = True
         elif character == ")":
             open_ = False
         elif character == ";" and not open_:
-            return text[:at], ";", text[at + 1 :]
+            return text[:position], ";", text[position + 1 :]
     return text, "", ""
 
 
@@ -185,12 +185,12 @@ def _shown(text: str) -> str:
 
 def _diagnose(text: str, file: str, line: int) -> NoReturn:
     """Raise the error that explains why ``text`` is not a block."""
-    at = 0
-    while match := _WORD.match(text, at):
+    position = 0
+    while match := _WORD.match(text, position):
         if match.end() < len(text) and text[match.end()] in "eE,.":
             break
-        at = match.end()
-    rest = text[at:].strip()
+        position = match.end()
+    rest = text[position:].strip()
     place = Place(file, line)
     word = re.split(r"[ \t](?![-+.\d])", rest, maxsplit=1)[0] if rest else ""
     if re.match(rf"[A-Za-z][ \t]*{_NUMBER}[eE][-+]?\d", rest):

@@ -25,11 +25,11 @@ SYSTEMS = range(540, 600, 10)
 LENGTH, NO_LENGTH = 430, 490
 TURN = 360 * ONE
 _FINE = 10**7  # steps per millimetre or degree, as in plain blocks
-_OTHERS = (
+_OTHER_ZEROS_REMEDY = (
     'Name the zero of each in the machine file, like [programs.offsets] G54 = { X = "0 mm exact, '
     'assumed" }, or give each a program of its own.'
 )
-_LENGTHS = (
+_LENGTHS_REMEDY = (
     "Or give the lengths of the tools in the machine file, like [programs.lengths] H1 = "
     '"50 mm exact, assumed", and write G43 with its H.'
 )
@@ -96,7 +96,7 @@ class ToolLengths:
     line: int = 0
     _now: str = ""
     _left: int = 0  # line of a G49 that ended a tool length
-    _moved: int = 0  # line of the first move of Z
+    _shifted_by: int = 0  # line of the first move of Z
     _machine: int = 0  # line of the first move of Z by G53
 
     def take(
@@ -115,7 +115,7 @@ class ToolLengths:
         if length in self.known:
             if self.line:
                 self._refuse(f"{length} ends the tool length of line {self.line}", line)
-        elif length and (length != self._now or later) and (self._moved or later):
+        elif length and (length != self._now or later) and (self._shifted_by or later):
             self._refuse(f"{length} begins it", line)
         if length:
             self._now, self._left = length, 0
@@ -127,7 +127,7 @@ class ToolLengths:
             if later:
                 self._refuse("G49 ends it", line)
         if moves:
-            self._moved = self._moved or line
+            self._shifted_by = self._shifted_by or line
             self._machine = self._machine or (line if MACHINE in settings else 0)
         if moves and self._left:
             self._refuse(f"G49 on line {self._left} ends it", line)
@@ -136,22 +136,23 @@ class ToolLengths:
                 "G53 goes to a place of the machine, and how far the tool length of G43 "
                 f"(line {self.line}) shifts Z from there the control alone knows",
                 place=self.file.place(self._machine),
-                remedy=_LENGTHS,
+                remedy=_LENGTHS_REMEDY,
             )
 
-    def _refuse(self, what: str, line: int) -> NoReturn:
+    def _refuse(self, event: str, line: int) -> NoReturn:
         retract = "."
-        if self._moved and not self.line:
+        if self._shifted_by and not self.line:
             retract = (
-                f" (leave out the move on line {self._moved}, if it only lifts the tool to change "
+                f" (leave out the move on line {self._shifted_by}, if it only lifts the tool to "
+                "change "
                 "it)."
             )
         raise JobError(
-            f"G43 is compensation of the tool's length: {what} between moves of Z, and how far it "
+            f"G43 is compensation of the tool's length: {event} between moves of Z, and how far it "
             "shifts them the control alone knows",
             place=self.file.place(line),
             remedy=f"Write one G43 before the first move of Z, or a program for each tool{retract} "
-            + _LENGTHS,
+            + _LENGTHS_REMEDY,
         )
 
 
@@ -168,20 +169,20 @@ def zeros_of(
     first = next((code for code in used.lines if code != MACHINE), FIRST)
     if set(used.lines) <= {first}:
         return {}
-    found = {MACHINE: (0,) * len(machine.axis_names)}
+    zeros = {MACHINE: (0,) * len(machine.axis_names)}
     for code in {first, *used.lines} - {MACHINE}:
         name = f"G{code // 10}"
         offset = machine.programs.offsets.get(name)
         if offset is None:
             line = max(used.lines.values())
-            names = " and ".join(f"G{one // 10}" for one in used.lines)
+            names = " and ".join(f"G{code_used // 10}" for code_used in used.lines)
             raise JobError(
                 f"the program moves by {names}: only the control knows how far {name} is from the "
                 "machine's zero",
                 place=file.place(line),
-                remedy=_OTHERS,
+                remedy=_OTHER_ZEROS_REMEDY,
             )
-        found[code] = tuple(
+        zeros[code] = tuple(
             _exact(
                 offset[axis].si
                 * (1e3 if machine.axes[axis].kind == "linear" else math.degrees(1.0))
@@ -190,10 +191,10 @@ def zeros_of(
             else 0
             for axis in machine.axis_names
         )
-    begin = found[first]
+    begin = zeros[first]
     return {
         code: tuple(value - zero for value, zero in zip(values, begin, strict=True))
-        for code, values in found.items()
+        for code, values in zeros.items()
     }
 
 
@@ -267,9 +268,9 @@ class Zeros:
                 at[index] - given[index] if index in given else offset
                 for index, offset in enumerate(self.offset)
             ]
-            self.kept = _moved(self.offset, self._base, -1)
+            self.kept = _shifted_by(self.offset, self._base, -1)
         elif code == _RESTORE:
-            self.offset = _moved(self.kept, self._base, 1)
+            self.offset = _shifted_by(self.kept, self._base, 1)
         else:
             if code != _SUSPEND:
                 self.kept = [0] * len(self.offset)
@@ -286,13 +287,13 @@ class Zeros:
         The sign of the word is the direction (``back``), not a part of the angle. Source:
         ``unwrap_rotary`` of LinuxCNC 2.9, ``interp_find.cc``; ``rs274`` is compared with it.
         """
-        here = at - self.offset[index]
-        to = angle + here // TURN * TURN
-        if not back and to < here:
-            to += TURN
-        elif back and to > here:
-            to -= TURN
-        return self.offset[index] + to
+        present = at - self.offset[index]
+        target = angle + present // TURN * TURN
+        if not back and target < present:
+            target += TURN
+        elif back and target > present:
+            target -= TURN
+        return self.offset[index] + target
 
     def lengthen(self, index: int, length: int) -> None:
         """Take the tool length ``length`` along an axis; the shift of G92 stays."""
@@ -300,10 +301,10 @@ class Zeros:
         self._shift()
 
     def _shift(self) -> None:
-        base = _moved(self._system, self._length, 1)
-        self.offset = _moved(_moved(self.offset, self._base, -1), base, 1)
+        base = _shifted_by(self._system, self._length, 1)
+        self.offset = _shifted_by(_shifted_by(self.offset, self._base, -1), base, 1)
         self._base = base
 
 
-def _moved(values: Sequence[int], by: Sequence[int], times: int) -> list[int]:
-    return [value + times * way for value, way in zip(values, by, strict=True)]
+def _shifted_by(values: Sequence[int], shift: Sequence[int], times: int) -> list[int]:
+    return [value + times * step for value, step in zip(values, shift, strict=True)]

@@ -45,8 +45,8 @@ def head_accelerations_m_s2(
                 f"to be at speed within two stitches takes {wanted:.4g} m/s^2; axis {axis} does "
                 f"{limits.acceleration.si:.4g} m/s^2"
             )
-    most = machine.least_acceleration(axes)
-    return Accelerations(min(up, most), min(down, most)), warnings
+    machine_limit = machine.least_acceleration(axes)
+    return Accelerations(min(up, machine_limit), min(down, machine_limit)), warnings
 
 
 def crossing_warnings(contour: Contour, seam: str, file: str) -> list[str]:
@@ -60,12 +60,13 @@ def crossing_warnings(contour: Contour, seam: str, file: str) -> list[str]:
             return []
         return [f"{file}: seam {seam!r} is too large to be searched for crossings of itself"]
     k, j = int(first[0]), int(second[0])
-    at = begin[k] + at_first[0] * (end[k] - begin[k])
+    crossing = begin[k] + at_first[0] * (end[k] - begin[k])
     lines = [int(contour.pieces.line[piece[i]]) for i in (k, j)]
-    more = "" if complete else "more than "
+    more_than = "" if complete else "more than "
     return [
-        f"{Place(file, lines[0])}: seam {seam!r} crosses or touches itself at {more}{len(first)} "
-        f"places, first at {point_text(at)} (the line of {lines[1]} in the file)"
+        f"{Place(file, lines[0])}: seam {seam!r} crosses or touches itself at "
+        f"{more_than}{len(first)} "
+        f"places, first at {point_text(crossing)} (the line of {lines[1]} in the file)"
     ]
 
 
@@ -76,13 +77,14 @@ def corner_warnings(sewn: SewnContour, machine_acceleration_m_s2: float) -> list
         return []
     turns = [leg.end_turn_rad for leg in sewn.legs if leg.end_turn_rad is not None]
     errors = [corner_error_m(settings.speed_m_s, machine_acceleration_m_s2, t) for t in turns]
-    bad = [(e, t) for e, t in zip(errors, turns, strict=True) if e > settings.placement_m]
-    if not bad:
+    missed = [(e, t) for e, t in zip(errors, turns, strict=True) if e > settings.placement_m]
+    if not missed:
         return []
-    error, turn = max(bad)
+    error, turn = max(missed)
     return [
         f"{sewn.place}: seam {sewn.seam!r}: at {settings.speed_m_s * 1e3:.4g} mm/s and "
-        f"{machine_acceleration_m_s2:.4g} m/s^2 interpolated motion misses {len(bad)} corners by "
+        f"{machine_acceleration_m_s2:.4g} m/s^2 interpolated motion misses {len(missed)} corners "
+        "by "
         f"more than {settings.placement_m * 1e3:.3g} mm, a turn of {math.degrees(turn):.3g} "
         f'degrees by {error * 1e3:.3g} mm; slow the needle, or set motion = "discrete"'
     ]
@@ -117,10 +119,10 @@ class StitchCheck:
             self.along_m_s2 = min(self.along_m_s2, settings.needle_acceleration_hz_s * least_m)
         file = self.sewn.place.file
         relative = block.lengths_m / block.target_m - 1.0
-        bad = ~block.exempt & (np.abs(relative) > settings.tolerance * (1.0 + 1e-9))
-        self.off += int(bad.sum())
-        if bad.any():
-            k = int(np.argmax(np.where(bad, np.abs(relative), 0.0)))
+        is_off = ~block.exempt & (np.abs(relative) > settings.tolerance * (1.0 + 1e-9))
+        self.off += int(is_off.sum())
+        if is_off.any():
+            k = int(np.argmax(np.where(is_off, np.abs(relative), 0.0)))
             if abs(relative[k]) > abs(self.worst[0]):
                 where = f"{Place(file, int(block.line[k]))}, at {point_text(block.points[k + 1])}"
                 self.worst = (float(relative[k]), where)
@@ -182,19 +184,19 @@ class StitchCheck:
 
     def warnings(self) -> list[str]:
         """Return the warnings about the checked stitches."""
-        found = []
+        texts = []
         name = f"seam {self.sewn.seam!r}"
         settings = self.sewn.settings
         if self.off:
-            found.append(
+            texts.append(
                 f"{self.worst[1]}: {name}: {self.off} stitches are more than "
                 f"{settings.tolerance * 100:g} % off their length, the worst "
                 f"{self.worst[0] * 100:+.3g} %"
             )
         if self.short:
             length, where = min(self.short)
-            found.append(
+            texts.append(
                 f"{where}: {name}: {len(self.short)} legs between corners are shorter than a "
                 f"stitch, the shortest {length * 1e3:.3g} mm; each gets a stitch at both ends"
             )
-        return found
+        return texts

@@ -24,7 +24,7 @@ from threadline.geometry.curves import Pieces
 from threadline.jobs.seam.settings import MOST_SETTLE_S, Stitching
 from threadline.machine import Machine
 
-_EDGE = 0.05  # share of a turn left out at each end when the turn's length is measured
+_EDGE_SHARE = 0.05  # share of a turn left out at each end when the turn's length is measured
 _CHORD_RAD = math.radians(30.0)  # twelve sides to a circle
 _CHORD_STITCHES = 2.0
 _FINE_M = 1e-7
@@ -49,15 +49,15 @@ def corners(table: ArcTable, closed: bool, settings: Stitching) -> tuple[FloatAr
     if len(table.pieces) == 1 and table.pieces.is_line[0]:
         return np.empty(0), np.empty(0)
     first, last = table.pieces.end_directions()
-    turn = _turn(np.roll(last, 1, axis=0), first)
-    at = table.piece_begins_m()[:-1]
+    turn = _turn_angles(np.roll(last, 1, axis=0), first)
+    joints_m = table.piece_begins_m()[:-1]
     if not closed:
         turn[0] = 0.0
     least_rad = settings.corner_angle_rad
-    joint = np.abs(turn) > 1e-9
-    at_joint, turn_joint = at[joint], turn[joint]
-    sharp = np.abs(turn_joint) >= least_rad
-    sharp &= ~drawn_as_chords(
+    is_joint = np.abs(turn) > 1e-9
+    at_joint, turn_joint = joints_m[is_joint], turn[is_joint]
+    is_corner = np.abs(turn_joint) >= least_rad
+    is_corner &= ~drawn_as_chords(
         at_joint, turn_joint, _CHORD_STITCHES * settings.stitch_length_m, _CHORD_RAD
     )
     at_bend, turn_bend = _tight_bends(table, settings.least_m / least_rad)
@@ -65,24 +65,26 @@ def corners(table: ArcTable, closed: bool, settings: Stitching) -> tuple[FloatAr
     turn_all = np.concatenate([turn_joint, turn_bend])
     order = np.argsort(at_all, kind="stable")
     at_all, turn_all = at_all[order], turn_all[order]
-    found = dict(zip(at_joint[sharp].tolist(), np.abs(turn_joint[sharp]).tolist(), strict=True))
+    turn_at = dict(
+        zip(at_joint[is_corner].tolist(), np.abs(turn_joint[is_corner]).tolist(), strict=True)
+    )
     for begin, end in tight_turns(at_all, turn_all, least_rad, settings.least_m):
-        if begin == end:  # ``sharp`` above decides about a single joint
+        if begin == end:  # ``is_corner`` above decides about a single joint
             continue
         inside = slice(begin, end + 1)
         for at_m in at_all[inside].tolist():
-            found.pop(at_m, None)
+            turn_at.pop(at_m, None)
         angle = turn_all[inside]
         total = float(angle.sum())
         largest = int(np.argmax(np.abs(angle)))
         if abs(angle[largest]) < 0.5 * abs(total):  # no dominant joint: take the middle of the turn
             largest = int(np.searchsorted(np.cumsum(angle) / total, 0.5))
-        found[float(at_all[begin + largest])] = min(abs(total), math.pi)
-    places = np.array(sorted(found), dtype=np.float64)
-    return places, np.array([found[place] for place in places.tolist()], dtype=np.float64)
+        turn_at[float(at_all[begin + largest])] = min(abs(total), math.pi)
+    places = np.array(sorted(turn_at), dtype=np.float64)
+    return places, np.array([turn_at[place] for place in places.tolist()], dtype=np.float64)
 
 
-def _turn(before: FloatArray, after: FloatArray) -> FloatArray:
+def _turn_angles(before: FloatArray, after: FloatArray) -> FloatArray:
     """Return the (n,) signed angles from directions ``before`` to directions ``after``."""
     cross = before[:, 0] * after[:, 1] - before[:, 1] * after[:, 0]
     return np.asarray(np.arctan2(cross, (before * after).sum(axis=1)))
@@ -92,46 +94,56 @@ def _tight_bends(table: ArcTable, radius_m: float) -> tuple[FloatArray, FloatArr
     """Return places and turns along every piece with a bend tighter than ``radius_m``."""
     pieces = table.pieces
     curved = np.flatnonzero(~pieces.is_line)
-    tight, most = [], []
+    tight, peak_bends = [], []
     for start in range(0, len(curved), _CHUNK):
         index = curved[start : start + _CHUNK]
         u = np.tile(_SAMPLES, len(index))
-        _, speed, bend = pieces.evaluate(np.repeat(index, len(_SAMPLES)), u, 2)
-        cross = np.abs(speed[:, 0] * bend[:, 1] - speed[:, 1] * bend[:, 0])
-        cubed = np.hypot(*speed.T) ** 3
-        bends = (cross * radius_m > cubed) | (cubed == 0.0)
+        _, speed, second_derivative = pieces.evaluate(np.repeat(index, len(_SAMPLES)), u, 2)
+        cross = np.abs(
+            speed[:, 0] * second_derivative[:, 1] - speed[:, 1] * second_derivative[:, 0]
+        )
+        speed3 = np.hypot(*speed.T) ** 3
+        is_tight = (cross * radius_m > speed3) | (speed3 == 0.0)
         # A curve may turn back between two samples.
-        turned = np.abs(_turn(speed[:-1], speed[1:])) > 0.5
-        bends[1:] |= turned & (u[1:] > 0.0)
-        chosen = bends.reshape(len(index), -1).any(axis=1)
+        turns_back = np.abs(_turn_angles(speed[:-1], speed[1:])) > 0.5
+        is_tight[1:] |= turns_back & (u[1:] > 0.0)
+        chosen = is_tight.reshape(len(index), -1).any(axis=1)
         tight.append(index[chosen])
-        most.append(np.hypot(*bend.T).reshape(len(index), -1).max(axis=1)[chosen])
+        peak_bends.append(
+            np.hypot(*second_derivative.T).reshape(len(index), -1).max(axis=1)[chosen]
+        )
     if not tight or not sum(map(len, tight)):
         return np.empty(0), np.empty(0)
-    return _turning(table, np.concatenate(tight), np.concatenate(most))
+    return _turning(table, np.concatenate(tight), np.concatenate(peak_bends))
 
 
-def _turning(table: ArcTable, index: IntArray, bend: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _turning(
+    table: ArcTable, index: IntArray, second_derivative: FloatArray
+) -> tuple[FloatArray, FloatArray]:
     """Return places and turns along the pieces ``index``, from directions at many places."""
     pieces: Pieces = table.pieces.take(index)
-    parts = np.ceil(np.sqrt(1.1 * bend / (8.0 * _FINE_M))).clip(8, 1 << 16).astype(np.int64)
+    parts = (
+        np.ceil(np.sqrt(1.1 * second_derivative / (8.0 * _FINE_M)))
+        .clip(8, 1 << 16)
+        .astype(np.int64)
+    )
     piece = np.repeat(np.arange(len(index)), parts + 1)
     first = np.repeat(np.cumsum(parts + 1) - (parts + 1), parts + 1)
     u = (np.arange(len(piece)) - first) / parts[piece]
     points, speed = pieces.evaluate(piece, u, 1)
-    same = piece[1:] == piece[:-1]
+    same_piece = piece[1:] == piece[:-1]
     step = np.diff(points, axis=0)
-    still = np.hypot(*speed.T) <= 1e-9 * np.maximum(np.append(np.hypot(*step.T), 0.0), 1e-300)
-    speed[:-1][still[:-1]] = step[still[:-1]]
-    chord = np.where(same, np.hypot(*step.T), 0.0)
+    at_rest = np.hypot(*speed.T) <= 1e-9 * np.maximum(np.append(np.hypot(*step.T), 0.0), 1e-300)
+    speed[:-1][at_rest[:-1]] = step[at_rest[:-1]]
+    chord = np.where(same_piece, np.hypot(*step.T), 0.0)
     covered = np.concatenate([[0.0], np.cumsum(chord)])
     begins = table.piece_begins_m()
-    own = covered - covered[first]
-    whole = covered[first + parts[piece]] - covered[first]
+    covered_in_piece = covered - covered[first]
+    piece_chords = covered[first + parts[piece]] - covered[first]
     length = (begins[1:] - begins[:-1])[index][piece]
-    at = begins[index][piece] + own / np.maximum(whole, 1e-300) * length
+    at = begins[index][piece] + covered_in_piece / np.maximum(piece_chords, 1e-300) * length
     middle = 0.5 * (at[1:] + at[:-1])
-    return middle[same], _turn(speed[:-1], speed[1:])[same]
+    return middle[same_piece], _turn_angles(speed[:-1], speed[1:])[same_piece]
 
 
 def tight_turns(
@@ -149,25 +161,30 @@ def tight_turns(
     total = np.concatenate([[0.0], np.cumsum(turn_rad)])
     last = np.searchsorted(at_m, at_m + within_m, side="right") - 1
     first = np.arange(len(at_m))
-    sharp = np.abs(total[last + 1] - total[first]) >= least_rad
+    is_sharp = np.abs(total[last + 1] - total[first]) >= least_rad
     clusters: list[list[int]] = []
-    for k in np.flatnonzero(sharp).tolist():
+    for k in np.flatnonzero(is_sharp).tolist():
         if clusters and k <= clusters[-1][1]:
             clusters[-1][1] = max(clusters[-1][1], int(last[k]))
         else:
             clusters.append([k, int(last[k])])
-    found = []
+    stretches = []
     for begin, end in clusters:
         # Ends with almost no turn do not belong to the corner.
         share = np.cumsum(turn_rad[begin : end + 1]) / (total[end + 1] - total[begin] or 1.0)
-        inner = np.flatnonzero((share >= _EDGE) & (np.append(0.0, share[:-1]) <= 1.0 - _EDGE))
-        if not len(inner):
+        inner_index = np.flatnonzero(
+            (share >= _EDGE_SHARE) & (np.append(0.0, share[:-1]) <= 1.0 - _EDGE_SHARE)
+        )
+        if not len(inner_index):
             continue
-        low, high = begin + int(inner[0]), begin + int(inner[-1])
-        turned = abs(total[high + 1] - total[low])
-        if turned >= (1.0 - 3.0 * _EDGE) * least_rad and at_m[high] - at_m[low] <= within_m:
-            found.append((low, high))
-    return found
+        low, high = begin + int(inner_index[0]), begin + int(inner_index[-1])
+        inner_turn = abs(total[high + 1] - total[low])
+        if (
+            inner_turn >= (1.0 - 3.0 * _EDGE_SHARE) * least_rad
+            and at_m[high] - at_m[low] <= within_m
+        ):
+            stretches.append((low, high))
+    return stretches
 
 
 def drawn_as_chords(
@@ -179,22 +196,22 @@ def drawn_as_chords(
     same side by similar angles of at most ``most_rad``.
     """
     count = len(at_m)
-    alike = np.zeros(max(count - 1, 0), dtype=np.bool_)
+    continues = np.zeros(max(count - 1, 0), dtype=np.bool_)
     size = np.abs(turn_rad)
     if count > 1:
         smaller, larger = np.minimum(size[:-1], size[1:]), np.maximum(size[:-1], size[1:])
-        alike = (
+        continues = (
             (np.diff(at_m) <= within_m)
             & (turn_rad[:-1] * turn_rad[1:] > 0.0)
             & (larger <= most_rad)
             & (larger <= 2.5 * smaller)  # a joint of curve and straight line has half the turn
         )
-    found = np.zeros(count, dtype=np.bool_)
-    ends = [-1, *np.flatnonzero(~alike).tolist(), count - 1]
-    for before, last in pairwise(ends):
-        if last - before >= 3:
-            found[before + 1 : last + 1] = True
-    return found
+    is_chord = np.zeros(count, dtype=np.bool_)
+    ends = [-1, *np.flatnonzero(~continues).tolist(), count - 1]
+    for last_before, last in pairwise(ends):
+        if last - last_before >= 3:
+            is_chord[last_before + 1 : last + 1] = True
+    return is_chord
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -283,17 +300,17 @@ def _lock_length(stitches: int, key: str, leg: Leg, settings: Stitching, place: 
     return length_m
 
 
-def _lock(here_m: float, there_m: float) -> list[Leg]:
+def _lock(begin_m: float, end_m: float) -> list[Leg]:
     """Return the two legs from one place to another and back; none if the places are equal."""
-    if here_m == there_m:
+    if begin_m == end_m:
         return []
-    ends = [(here_m, there_m), (there_m, here_m)]
+    ends = [(begin_m, end_m), (end_m, begin_m)]
     return [
         Leg(begin_m=a, end_m=b, begin_turn_rad=None, end_turn_rad=None, lock=True) for a, b in ends
     ]
 
 
-_SWING, _LEFT = 0.5, 0.1
+_SWING_SHARE, _LEFT_SHARE = 0.5, 0.1
 # A search reads the seam again for every speed, and the damping of a mode takes 64 pole sets.
 _RECENT: Recent[tuple[Machine, tuple[str, ...]], tuple[Oscillation, ...]] = Recent(
     4, lambda a, b: a[0] is b[0] and a[1] == b[1]
@@ -317,13 +334,13 @@ def with_journeys(
     omegas = [2.0 * math.pi * mode.frequency_hz for mode in modes]
     speed = settings.travel_speed_m_s
     if speed is None and omegas:
-        speed = _SWING * settings.placement_m * min(omegas)
+        speed = _SWING_SHARE * settings.placement_m * min(omegas)
     settle = settings.settle_s
     if settle is None:
         settle = 0.0
         for omega, mode in zip(omegas, modes, strict=True):
-            reached = fastest_m_s if speed is None else min(speed, fastest_m_s)
-            swings = reached / omega / (_LEFT * settings.placement_m)
+            reached_m_s = fastest_m_s if speed is None else min(speed, fastest_m_s)
+            swings = reached_m_s / omega / (_LEFT_SHARE * settings.placement_m)
             if swings > 1.0 and mode.damping > 0.0:
                 settle = max(settle, math.log(swings) / (mode.damping * omega))
     return replace(settings, travel_speed_m_s=speed, settle_s=min(settle, MOST_SETTLE_S))

@@ -56,18 +56,18 @@ def seam_choices(seam_file: SeamFile, drawing: Drawing) -> list[SeamChoice]:
     if seam_file.by == "all":
         return [SeamChoice(name="seam")]
     by = seam_file.by
-    found = dict.fromkeys(getattr(stroke, by) for stroke in drawing.strokes)
+    values = dict.fromkeys(getattr(stroke, by) for stroke in drawing.strokes)
     for refusal in drawing.refusals:
         # A text in an SVG counts for every colour.
         if by == "layer" or refusal.colour:
-            found.setdefault(getattr(refusal, by))
-    if not found:
+            values.setdefault(getattr(refusal, by))
+    if not values:
         return [SeamChoice(name="seam")]
     return [
         SeamChoice(name=value or "seam", layer=value)
         if by == "layer"
         else SeamChoice(name=value, colour=value)
-        for value in found
+        for value in values
     ]
 
 
@@ -90,44 +90,44 @@ def seam_contours(
                 place=Place(file, refusal.line),
                 remedy=refusal.remedy,
             )
-    chosen = [
+    strokes = [
         stroke
         for stroke in drawing.strokes
         if choice.layer in (None, stroke.layer) and choice.colour in (None, stroke.colour)
     ]
-    _check_size(chosen, file)
-    chosen, warnings = drop_zero_lengths(chosen, file)
+    _check_size(strokes, file)
+    strokes, warnings = drop_zero_lengths(strokes, file)
     if any(seam_file.origin_m):
         origin = np.array(seam_file.origin_m)
-        chosen = [
-            replace(stroke, pieces=stroke.pieces.transform(np.eye(2), origin)) for stroke in chosen
+        strokes = [
+            replace(stroke, pieces=stroke.pieces.transform(np.eye(2), origin)) for stroke in strokes
         ]
-    if not chosen:
+    if not strokes:
         layers = sorted({f"{s.layer or '(no name)'} {s.colour}" for s in drawing.strokes})
         raise JobError(
             f"seam {choice.name!r} has nothing to sew",
             place=choice.places.get("layer", choice.places.get("colour", Place(file))),
             remedy=f"The drawing has the layers and colours: {', '.join(layers[:20]) or 'none'}.",
         )
-    contours, found = join_strokes(chosen, seam_file.gap_m, file)
-    return contours, warnings + found
+    contours, join_warnings = join_strokes(strokes, seam_file.gap_m, file)
+    return contours, warnings + join_warnings
 
 
 def _check_size(strokes: list[Stroke], file: str) -> None:
     pieces = join_pieces([stroke.pieces for stroke in strokes])
-    good = (np.abs(pieces.top) < MAX_REACH_M).all(axis=(1, 2))
-    good &= np.isfinite(pieces.bottom).all(axis=1)
-    good &= np.isfinite(pieces.begin_rad) & np.isfinite(pieces.sweep_rad)
-    if not good.all():
+    in_reach = (np.abs(pieces.top) < MAX_REACH_M).all(axis=(1, 2))
+    in_reach &= np.isfinite(pieces.bottom).all(axis=1)
+    in_reach &= np.isfinite(pieces.begin_rad) & np.isfinite(pieces.sweep_rad)
+    if not in_reach.all():
         raise JobError(
             f"a stroke reaches further than {MAX_REACH_M:g} m",
-            place=Place(file, int(pieces.line[int(np.argmin(good))])),
+            place=Place(file, int(pieces.line[int(np.argmin(in_reach))])),
             remedy="Check the unit of the drawing.",
         )
 
 
 _RAPID = Feed(FeedMode.RAPID, 0.0)
-_RUN = 4096
+_LONGEST_RUN = 4096
 
 
 class StitchStream(OperationStream):
@@ -144,11 +144,11 @@ def _runs(sewn: Sequence[SewnContour]) -> Iterator[Operation | MoveRun]:
         yield from _begin(contour)
         needle = _Needle(contour, number)
         line = contour.place.line
-        for block, most_hz in _with_most(contour):
+        for block, most_hz in _with_highest_speeds(contour):
             line = int(block.line[-1])
             columns = needle.columns(block)
-            for start in range(0, len(block.line), _RUN):
-                part = slice(start, start + _RUN)
+            for start in range(0, len(block.line), _LONGEST_RUN):
+                part = slice(start, start + _LONGEST_RUN)
                 yield MoveRun(
                     targets=block.points[1:][part],
                     line=block.line[part],
@@ -180,29 +180,29 @@ def _rest(contour: SewnContour, block: StitchBlock) -> Iterator[Operation]:
         yield Dwell(0.0, Source(contour.place.file, int(block.line[-1])))
 
 
-def _with_most(contour: SewnContour) -> Iterator[tuple[StitchBlock, FloatArray]]:
+def _with_highest_speeds(contour: SewnContour) -> Iterator[tuple[StitchBlock, FloatArray]]:
     """Yield each block with the (n,) highest needle speeds for a timing by limits, in stitch/s.
 
     At a rounded corner one piece of the path spans two stitches and has one speed. The shorter
     stitch sets this speed, so that neither stitch takes less time than a turn of the needle.
     """
-    held: tuple[StitchBlock, FloatArray] | None = None
+    previous: tuple[StitchBlock, FloatArray] | None = None
     for block in contour.blocks():
         most_hz = np.full(len(block.lengths_m), contour.settings.needle_speed_hz)
         # Only a needle that follows has these speeds, and needs the next leg.
         if not contour.settings.follows:
             yield block, most_hz
             continue
-        if held is not None:
-            before, slowed_hz = held
-            if not before.rests:
-                ratio = float(block.lengths_m[0] / before.lengths_m[-1])
+        if previous is not None:
+            block_before, slowed_hz = previous
+            if not block_before.rests:
+                ratio = float(block.lengths_m[0] / block_before.lengths_m[-1])
                 slowed_hz[-1] = min(slowed_hz[-1], most_hz[0] * ratio)
                 most_hz[0] *= min(1.0, 1.0 / ratio)
-            yield held
-        held = block, most_hz
-    if held is not None:
-        yield held
+            yield previous
+        previous = block, most_hz
+    if previous is not None:
+        yield previous
 
 
 def _feeds(
@@ -324,18 +324,18 @@ def read_seam(path: str | Path, machine: Machine, **options: Any) -> Job:
         )
         rests = settings.settle_s
         settings = with_journeys(settings, modes, fastest)
-        accelerations, found = head_accelerations_m_s2(settings, AXES, machine)
-        warnings += [f"{place}: seam {choice.name!r}: {text}" for text in found]
-        contours, found = seam_contours(drawing, choice, seam_file)
-        warnings += found
+        accelerations, texts = head_accelerations_m_s2(settings, AXES, machine)
+        warnings += [f"{place}: seam {choice.name!r}: {text}" for text in texts]
+        contours, texts = seam_contours(drawing, choice, seam_file)
+        warnings += texts
         for contour in contours:
             warnings += crossing_warnings(contour, choice.name, drawing.file)
             for part in offset_contour(contour, settings.allowance, drawing.file):
                 sewn.append(sewn_contour(part, choice.name, drawing.file, settings, accelerations))
                 if len(sewn) == 1 and not sewn[0].start().any():
                     # The head is at the start of this contour already.
-                    still = replace(settings, settle_s=rests or 0.0)
-                    sewn[0] = replace(sewn[0], settings=still)
+                    settings_here = replace(settings, settle_s=rests or 0.0)
+                    sewn[0] = replace(sewn[0], settings=settings_here)
                 warnings += corner_warnings(sewn[-1], machine.least_acceleration(AXES))
     along_m_s2 = math.inf
     for contour_sewn in sewn:

@@ -12,10 +12,10 @@ from threadline.geometry.arclength import ArcTable
 from threadline.jobs.seam.corners import Leg
 from threadline.jobs.seam.settings import Accelerations, Stitching
 
-_PARTS = 8  # samples of the line per least stitch
+_SAMPLES_PER_STITCH = 8  # samples of the line per least stitch
 _FEWEST, _MOST = 64, 2_000_000
 _GROWTH = 1.08
-_SHARE = 0.5  # share of the tolerance by which all stitches of a leg may grow
+_TOLERANCE_SHARE = 0.5  # share of the tolerance by which all stitches of a leg may grow
 
 
 def bow_m(arc_m: FloatArray, chord_m: FloatArray) -> FloatArray:
@@ -55,25 +55,25 @@ def bent_stitches(
     each turn of the needle. Finally the stitches are scaled to a whole number; they grow by at most
     half of the tolerance.
     """
-    whole = leg.length_m
-    spacing = settings.least_m / _PARTS
-    parts = math.ceil(min(max(whole / spacing, _FEWEST), _MOST))
-    s = np.linspace(0.0, whole, parts + 1)
+    length_m = leg.length_m
+    spacing = settings.least_m / _SAMPLES_PER_STITCH
+    parts = math.ceil(min(max(length_m / spacing, _FEWEST), _MOST))
+    s = np.linspace(0.0, length_m, parts + 1)
     points = leg_points(table, leg, closed, s)
-    longest = _longest(points, whole / parts, settings)
+    longest = _longest(points, length_m / parts, settings)
     if settings.needle == "constant":
-        longest = _reached(longest, s, settings, accelerations, rests)
+        longest = _reachable(longest, s, settings, accelerations, rests)
     turns = np.concatenate([[0.0], np.cumsum(2.0 * np.diff(s) / (longest[:-1] + longest[1:]))])
     count = max(1, math.floor(turns[-1]))
-    if turns[-1] > count * (1.0 + _SHARE * settings.tolerance):
+    if turns[-1] > count * (1.0 + _TOLERANCE_SHARE * settings.tolerance):
         count += 1
-    at = np.interp(np.arange(count + 1) * (turns[-1] / count), turns, np.arange(parts + 1))
-    k = np.minimum(at.astype(np.int64), parts - 1)
+    positions = np.interp(np.arange(count + 1) * (turns[-1] / count), turns, np.arange(parts + 1))
+    k = np.minimum(positions.astype(np.int64), parts - 1)
     # Between two places the speed changes evenly over time, not over length.
-    turn = (at - k) * (turns[k + 1] - turns[k])
-    gain = (longest[k + 1] - longest[k]) / (turns[k + 1] - turns[k])
-    covered = s[k] + longest[k] * turn + 0.5 * gain * turn**2
-    covered[0], covered[-1] = 0.0, whole
+    turn = (positions - k) * (turns[k + 1] - turns[k])
+    speed_change = (longest[k + 1] - longest[k]) / (turns[k + 1] - turns[k])
+    covered = s[k] + longest[k] * turn + 0.5 * speed_change * turn**2
+    covered[0], covered[-1] = 0.0, length_m
     sign = 1.0 if leg.end_m >= leg.begin_m else -1.0
     at_m = leg.begin_m + sign * covered
     at_m[-1] = leg.end_m
@@ -91,33 +91,33 @@ def _longest(points: FloatArray, step: float, settings: Stitching) -> FloatArray
     """Return the (n,) length along the line of the longest stitch around each point."""
     wanted, limit = settings.stitch_length_m, settings.bow_limit_m
     count = len(points)
-    place = np.arange(count)
-    found = np.full(count, wanted)
-    going: NDArray[np.bool_] = np.ones(count, dtype=np.bool_)
+    index = np.arange(count)
+    lengths = np.full(count, wanted)
+    growing: NDArray[np.bool_] = np.ones(count, dtype=np.bool_)
     arc, chord, bow = (np.zeros(count) for _ in range(3))
     # The reach of a stitch grows in small steps. Linear interpolation between two steps errs
     # towards shorter stitches.
     reach, most = 0, math.ceil(math.hypot(wanted, 2.0 * limit) / (2.0 * step))
-    while reach < most and going.any():
+    while reach < most and growing.any():
         reach = min(most, max(reach + 1, math.ceil(reach * _GROWTH)))
-        first, last = np.maximum(place - reach, 0), np.minimum(place + reach, count - 1)
+        first, last = np.maximum(index - reach, 0), np.minimum(index + reach, count - 1)
         arc_now = (last - first) * step
         chord_now = np.hypot(*(points[last] - points[first]).T)
         bow_now = bow_m(arc_now, chord_now)
-        over = going & ((chord_now > wanted) | (bow_now > limit))
+        exceeds = growing & ((chord_now > wanted) | (bow_now > limit))
         share = np.ones(count)
-        for value, now, bound in ((chord, chord_now, wanted), (bow, bow_now, limit)):
-            rising = over & (now > bound)
+        for value, value_now, bound in ((chord, chord_now, wanted), (bow, bow_now, limit)):
+            rising = exceeds & (value_now > bound)
             share[rising] = np.minimum(
-                share[rising], (bound - value[rising]) / (now[rising] - value[rising])
+                share[rising], (bound - value[rising]) / (value_now[rising] - value[rising])
             )
-        found[over] = (arc + share * (arc_now - arc))[over]
-        going &= ~over
+        lengths[exceeds] = (arc + share * (arc_now - arc))[exceeds]
+        growing &= ~exceeds
         arc, chord, bow = arc_now, chord_now, bow_now
-    return np.asarray(np.maximum(found, settings.least_m))
+    return np.asarray(np.maximum(lengths, settings.least_m))
 
 
-def _reached(
+def _reachable(
     longest: FloatArray,
     s: FloatArray,
     settings: Stitching,
@@ -132,8 +132,8 @@ def _reached(
     if rests[1]:
         squared[-1] = 0.0
     squared = np.minimum.accumulate(squared - up * s) + up * s
-    left = s[-1] - s
-    squared = np.minimum.accumulate((squared - down * left)[::-1])[::-1] + down * left
+    left_m = s[-1] - s
+    squared = np.minimum.accumulate((squared - down * left_m)[::-1])[::-1] + down * left_m
     return np.asarray(np.sqrt(np.maximum(squared, 0.0)))
 
 
@@ -173,18 +173,18 @@ def stitch_lengths(
     even_m = _even_m(count, length_m, _loss(settings, accelerations, rests))
     lengths = _ramped(count, even_m, settings, accelerations, rests)
     lengths *= length_m / lengths.sum()
-    share = _SHARE * settings.tolerance
+    share = _TOLERANCE_SHARE * settings.tolerance
     middle = np.clip(even_m, wanted * (1.0 - share), wanted * (1.0 + share))
-    resting = [a for rest, a in zip(rests, accelerations, strict=True) if rest]
-    ramp_stitches = middle * settings.needle_speed_hz**2 / min(resting, default=np.inf)
+    rest_accelerations = [a for rest_m, a in zip(rests, accelerations, strict=True) if rest_m]
+    ramp_stitches = middle * settings.needle_speed_hz**2 / min(rest_accelerations, default=np.inf)
     # A ramp that reaches 1/20 into the next stitch shortens that stitch by a thousandth.
-    within = ramp_stitches <= EXEMPT * (1.0 + settings.tolerance)
-    if count > 2 * EXEMPT and middle != even_m and within:
-        rest = length_m - middle * (count - 2 * EXEMPT)
+    ramps_exempt = ramp_stitches <= EXEMPT * (1.0 + settings.tolerance)
+    if count > 2 * EXEMPT and middle != even_m and ramps_exempt:
+        rest_m = length_m - middle * (count - 2 * EXEMPT)
         exempt = exempt_mask(count)
-        if rest > 0.0:
+        if rest_m > 0.0:
             lengths[~exempt] = middle
-            lengths[exempt] *= rest / lengths[exempt].sum()
+            lengths[exempt] *= rest_m / lengths[exempt].sum()
     return lengths
 
 
@@ -283,8 +283,8 @@ def place_leg(
     at_m = bent_stitches(table, leg, closed, settings, accelerations, rests)
     points = leg_points(table, leg, closed, np.abs(at_m - leg.begin_m))
     chords = np.hypot(*np.diff(points, axis=0).T)
-    less = chords < settings.stitch_length_m * (1.0 - _SHARE * settings.tolerance)
-    return at_m, points, less & ~exempt_mask(len(chords))
+    is_short = chords < settings.stitch_length_m * (1.0 - _TOLERANCE_SHARE * settings.tolerance)
+    return at_m, points, is_short & ~exempt_mask(len(chords))
 
 
 def _even(
@@ -303,29 +303,29 @@ def _even(
     is divided by the ratio of chord to wanted length. Each repetition at least halves the error;
     the loop ends when the chords have the wanted proportions.
     """
-    whole = leg.length_m
-    chord_sum = whole
+    length_m = leg.length_m
+    chord_sum = length_m
     for _ in range(3):
         wanted = stitch_lengths(chord_sum, settings, accelerations, rests)
-        arcs = wanted * (whole / wanted.sum())
+        arcs = wanted * (length_m / wanted.sum())
         at_m, points, chords = _measure(table, leg, closed, arcs)
         if not chords.any():  # a loop of one stitch
             return None
         if abs(chords.sum() - chord_sum) <= 1e-3 * settings.stitch_length_m * len(chords):
             break
         chord_sum = float(chords.sum())
-    best = (np.inf, at_m, points, chords)
+    best_even = (np.inf, at_m, points, chords)
     for _ in range(_ROUNDS):
         ratio = chords / wanted
         spread = float(ratio.max() / max(ratio.min(), 1e-12))
-        if spread < best[0]:
-            best = (spread, at_m, points, chords)
+        if spread < best_even[0]:
+            best_even = (spread, at_m, points, chords)
         if spread < 1.0 + 0.02 * settings.tolerance or not (chords > 0.0).all():
             break
         arcs = arcs / ratio
-        arcs *= whole / arcs.sum()
+        arcs *= length_m / arcs.sum()
         at_m, points, chords = _measure(table, leg, closed, arcs)
-    return best[1:]
+    return best_even[1:]
 
 
 def _measure(

@@ -72,7 +72,7 @@ def read_seam_file(content: bytes, file: str) -> SeamFile:
 
 def _lines(text: str) -> dict[tuple[str | int, ...], int]:
     """Return the line of every table and key; ``("seam", 1, "layer")`` is in the second seam."""
-    found: dict[tuple[str | int, ...], int] = {}
+    line_of: dict[tuple[str | int, ...], int] = {}
     counts: dict[str, int] = {}
     table: tuple[str | int, ...] = ()
     for number, line in enumerate(text.splitlines(), start=1):
@@ -83,10 +83,10 @@ def _lines(text: str) -> dict[tuple[str | int, ...], int]:
             if header[1] == "[[":
                 counts[header[2]] = counts.get(header[2], -1) + 1
                 table = (header[2], counts[header[2]])
-            found[table] = number
+            line_of[table] = number
         elif key:
-            found.setdefault((*table, key[1]), number)
-    return found
+            line_of.setdefault((*table, key[1]), number)
+    return line_of
 
 
 @dataclass(frozen=True, slots=True)
@@ -220,13 +220,13 @@ class _Reader:
         for k, contour in enumerate(contours):
             table = self._table(contour, CONTOUR_KEYS, "contour", k)
             place = self.place("contour", k, "points")
-            written = self._text(table, "unit", "contour", k) or unit
-            if written is None:
+            contour_unit = self._text(table, "unit", "contour", k) or unit
+            if contour_unit is None:
                 raise JobError(
                     "the contour has no unit", place=place, remedy='Add unit = "mm" to it.'
                 )
             try:
-                pieces = written_contour(table, unit_factor(written, "m"), place.line)
+                pieces = written_contour(table, unit_factor(contour_unit, "m"), place.line)
             except (ValueError, TypeError) as error:
                 message = getattr(error, "message", str(error))
                 raise JobError(f"contour {k + 1}: {message}", place=place) from error

@@ -207,41 +207,43 @@ def stitching(settings: Mapping[str, Any], places: Mapping[str, Place], place: P
     """
     values: dict[str, Any] = {}
     for key, value in settings.items():
-        here = places.get(key, place)
+        key_place = places.get(key, place)
         setting = _SETTINGS.get(key)
         if setting is None:
-            raise JobError(f"unknown key {key!r}", place=here, remedy=nearest(key, STITCHING_KEYS))
-        values[setting.field] = _value(key, value, setting, here)
+            raise JobError(
+                f"unknown key {key!r}", place=key_place, remedy=nearest(key, STITCHING_KEYS)
+            )
+        values[setting.field] = _value(key, value, setting, key_place)
     for key in ("stitch_length", "needle_speed"):
         if _SETTINGS[key].field not in values:
             raise JobError(f"{key} is not given", place=place, remedy=EXAMPLE)
-    result = Stitching(**values)
-    _check_needle(result, places, place)
-    if result.end_m is not None and result.end_m <= (result.start_m or 0.0):
+    settings_read = Stitching(**values)
+    _check_needle(settings_read, places, place)
+    if settings_read.end_m is not None and settings_read.end_m <= (settings_read.start_m or 0.0):
         raise JobError(
-            f"the seam ends at {result.end_m * 1e3:.6g} mm, before it starts",
+            f"the seam ends at {settings_read.end_m * 1e3:.6g} mm, before it starts",
             place=places.get("end", place),
         )
-    return result
+    return settings_read
 
 
-def _check_needle(found: Stitching, places: Mapping[str, Place], place: Place) -> None:
+def _check_needle(settings: Stitching, places: Mapping[str, Place], place: Place) -> None:
     """Refuse ``needle_slowest`` for a needle that does not follow, or above ``needle_speed``."""
-    slowest = found.needle_slowest_hz
+    slowest = settings.needle_slowest_hz
     if not slowest:
         return
-    here = places.get("needle_slowest", place)
-    if not found.follows:
+    key_place = places.get("needle_slowest", place)
+    if not settings.follows:
         raise JobError(
-            f"needle_slowest is {slowest:g} stitch/s, and needle is {found.needle!r}",
-            place=here,
+            f"needle_slowest is {slowest:g} stitch/s, and needle is {settings.needle!r}",
+            place=key_place,
             remedy='It is of needle = "follow".',
         )
-    if slowest > found.needle_speed_hz:
+    if slowest > settings.needle_speed_hz:
         raise JobError(
             f"needle_slowest is {slowest:g} stitch/s, above needle_speed, "
-            f"{found.needle_speed_hz:g} stitch/s",
-            place=here,
+            f"{settings.needle_speed_hz:g} stitch/s",
+            place=key_place,
             remedy="The needle turns between them: lower the one, or raise the other.",
         )
 

@@ -32,8 +32,8 @@ def end_speed_m_s(
     """
     if turn_rad is None or settings.motion == "discrete":
         return 0.0
-    at_one = corner_error_m(1.0, accelerations.up, turn_rad, accelerations.down)
-    fastest = np.sqrt(settings.placement_m / at_one) if at_one > 0.0 else np.inf
+    error_at_1_m_s = corner_error_m(1.0, accelerations.up, turn_rad, accelerations.down)
+    fastest = np.sqrt(settings.placement_m / error_at_1_m_s) if error_at_1_m_s > 0.0 else np.inf
     return float(min(settings.speed_m_s, fastest))
 
 
@@ -69,13 +69,15 @@ def stitch_times_s(
     stitch then takes the least time between its two speeds: the speed rises to a peak, at most the
     programmed speed, and falls again.
     """
-    needle = settings.needle_acceleration_hz_s * settings.stitch_length_m
-    a, d = (min(along, needle) for along in accelerations)
+    needle_m_s2 = settings.needle_acceleration_hz_s * settings.stitch_length_m
+    a, d = (min(along, needle_m_s2) for along in accelerations)
     limit = np.minimum(
         settings.speed_m_s**2, min(accelerations) / np.maximum(np.abs(bend_1_m), 1e-12)
     )
-    own = np.where(short, (settings.needle_speed_hz * lengths_m) ** 2, np.inf)
-    limit = np.minimum(limit, np.minimum(np.append(own, np.inf), np.append(np.inf, own)))
+    short_squared = np.where(short, (settings.needle_speed_hz * lengths_m) ** 2, np.inf)
+    limit = np.minimum(
+        limit, np.minimum(np.append(short_squared, np.inf), np.append(np.inf, short_squared))
+    )
     squared = limit.copy()
     squared[0] = min(squared[0], ends_m_s[0] ** 2)
     squared[-1] = min(squared[-1], ends_m_s[1] ** 2)
@@ -85,21 +87,23 @@ def stitch_times_s(
     fall = (rise[-1] - rise) * (d / a)
     squared = np.minimum.accumulate((squared - fall)[::-1])[::-1] + fall
     squared = np.maximum(squared, 0.0)
-    before, after = squared[:-1], squared[1:]
-    peak = (d * before + a * after + 2.0 * a * d * lengths_m) / (a + d)
-    peak = np.minimum(peak, np.maximum(np.minimum(limit[:-1], limit[1:]), _larger(squared)))
-    top, v0, v1 = np.sqrt(peak), np.sqrt(before), np.sqrt(after)
-    ramps = (peak - before) / (2.0 * a) + (peak - after) / (2.0 * d)
+    squared_before, squared_after = squared[:-1], squared[1:]
+    peak = (d * squared_before + a * squared_after + 2.0 * a * d * lengths_m) / (a + d)
+    peak = np.minimum(
+        peak, np.maximum(np.minimum(limit[:-1], limit[1:]), _larger_of_neighbours(squared))
+    )
+    top, v0, v1 = np.sqrt(peak), np.sqrt(squared_before), np.sqrt(squared_after)
+    ramps = (peak - squared_before) / (2.0 * a) + (peak - squared_after) / (2.0 * d)
     times = (top - v0) / a + (top - v1) / d + np.maximum(lengths_m - ramps, 0.0) / top
     return np.asarray(times)
 
 
-def _larger(squared: FloatArray) -> FloatArray:
+def _larger_of_neighbours(squared: FloatArray) -> FloatArray:
     """Return the (n,) larger value of each pair of neighbours."""
     return np.maximum(squared[:-1], squared[1:])
 
 
-_BACK_RAD = 2.5  # corner angle, a little below the angle at which the planner needs a rest
+_TURN_BACK_RAD = 2.5  # corner angle, a little below the angle at which the planner needs a rest
 MAX_STITCHES = 5_000_000  # per contour: a leg with this many takes 0.5 GB
 
 
@@ -194,9 +198,9 @@ class SewnContour:
         settings = self.settings
         discrete = settings.motion == "discrete"
         halts = (discrete or leg.begin_turn_rad is None, discrete or leg.end_turn_rad is None)
-        slowed = settings.needle != "constant"
+        slows = settings.needle != "constant"
         # A slowed needle waits for the head, so no ramp shortens a stitch.
-        ramps = (False, False) if slowed else halts
+        ramps = (False, False) if slows else halts
         count = stitch_count(leg.length_m, settings, self.accelerations, ramps)
         if count > MAX_STITCHES:
             raise self._too_slow(leg, f"{count:.3g} stitches on it, limit {MAX_STITCHES}")
@@ -213,14 +217,14 @@ class SewnContour:
                 place=self.place,
                 remedy="Delete it, or lower least_stitch.",
             )
-        on = wrap(at_m, self.table.length_m) if self.closed else at_m
-        if slowed:
+        on_m = wrap(at_m, self.table.length_m) if self.closed else at_m
+        if slows:
             ends = (
                 end_speed_m_s(leg.begin_turn_rad, settings, self.accelerations),
                 end_speed_m_s(leg.end_turn_rad, settings, self.accelerations),
             )
-            bend = self.table.curvature(on)
-            times = stitch_times_s(lengths, bend, settings, self.accelerations, ends, short)
+            curvature = self.table.curvature(on_m)
+            times = stitch_times_s(lengths, curvature, settings, self.accelerations, ends, short)
         else:
             times = np.full(len(lengths), 1.0 / settings.needle_speed_hz)
         middle = at_m[1:] - 0.25 * np.diff(at_m)
@@ -244,7 +248,7 @@ class SewnContour:
         If the line turns back, the speed of the head along its path has a kink.
         """
         limited = self.settings.follows and np.isfinite(self.settings.needle_acceleration_hz_s)
-        return bool(limited and leg.end_turn_rad is not None and leg.end_turn_rad > _BACK_RAD)
+        return bool(limited and leg.end_turn_rad is not None and leg.end_turn_rad > _TURN_BACK_RAD)
 
     def _too_slow(self, leg: Leg, makes: str) -> JobError:
         return JobError(

@@ -58,10 +58,10 @@ def bare_of(winding: Winding) -> Bare:
         reach the axis, or the outer shape would be off by more than ``TOLERANCE_M``; the error
         names the place. Also if the thickness of the band is not known.
     """
-    wanted = winding.product.surface
-    held = _held(winding)
-    u = np.linspace(0.0, wanted.length_m, _POINTS)
-    x, r = wanted.at(u)
+    wanted_shape = winding.product.surface
+    with_patterns = _with_fixed_patterns(winding)
+    u = np.linspace(0.0, wanted_shape.length_m, _POINTS)
+    x, r = wanted_shape.at(u)
     slope = np.hypot(x[:, 1], r[:, 1])
     outer = np.column_stack([x[:, 0], r[:, 0]])
     normal = np.column_stack([-r[:, 1], x[:, 1]]) / slope[:, None]
@@ -71,7 +71,9 @@ def bare_of(winding: Winding) -> Bare:
         points = outer - depth[:, None] * normal
         surface = _mandrel(winding, points, outer)
         try:
-            laid = design(replace(held, product=replace(held.product, surface=surface)))
+            laid = design(
+                replace(with_patterns, product=replace(with_patterns.product, surface=surface))
+            )
         except JobError as error:
             raise JobError(
                 "no bare mandrel gives this outer shape: on the nearest one, " + error.message,
@@ -79,7 +81,7 @@ def bare_of(winding: Winding) -> Bare:
                 remedy="Hoops and ends of layers leave steps: draw them, or wind layers that end "
                 "at the openings.",
             ) from error
-        off = _over(_outside(laid), outer, normal)
+        off = _outside_of(_outer_surface(laid), outer, normal)
         worst = int(np.abs(off).argmax())
         if best is None or abs(off[worst]) < best[0]:
             best = float(abs(off[worst])), worst, Bare(points, laid, float(abs(off[worst])))
@@ -87,43 +89,48 @@ def bare_of(winding: Winding) -> Bare:
             break
         depth = depth + off
     assert best is not None
-    apart, worst, found = best
-    if apart > TOLERANCE_M:
+    off_m, worst, bare = best
+    if off_m > TOLERANCE_M:
         raise JobError(
             f"no bare mandrel gives this outer shape: at {1e3 * outer[worst, 0]:.4g} mm (radius "
-            f"{1e3 * outer[worst, 1]:.4g} mm) the layers end {1e3 * apart:.3g} mm beside it, limit "
+            f"{1e3 * outer[worst, 1]:.4g} mm) the layers end {1e3 * off_m:.3g} mm beside it, limit "
             f"{1e3 * TOLERANCE_M:g} mm",
             place=Place(str(winding.path)),
             remedy="Layers end in steps there: draw the step, or let the layers end elsewhere.",
         )
-    hollow = found.laid[0].hollow_m()
-    if hollow is not None and _deepest_m(found.points) > _HOLLOW_M:
-        begin, end = (1e3 * one for one in hollow)
+    hollow = bare.laid[0].hollow_m()
+    if hollow is not None and _deepest_m(bare.points) > _HOLLOW_M:
+        begin, end = (1e3 * place_m for place_m in hollow)
         raise JobError(
             "no bare mandrel gives this outer shape: the first layer would bridge a hollow at "
             f"{begin:.4g} to {end:.4g} mm",
-            place=Place(str(winding.path), found.laid[0].layer.line),
+            place=Place(str(winding.path), bare.laid[0].layer.line),
             remedy="Turn the layers at different radii, or take a thinner band.",
         )
-    return found
+    return bare
 
 
-def _held(winding: Winding) -> Winding:
+def _with_fixed_patterns(winding: Winding) -> Winding:
     """Return the winding with the patterns and turns that its layers have on the drawn shape."""
     layers = []
-    for one in design(winding):
-        layer = one.layer
+    for layer_laid in design(winding):
+        layer = layer_laid.layer
         if layer.kind == "hoop":
             layers.append(layer)
             continue
-        turn = one.circuit.constant_m if layer.angle is None else None
+        turn = layer_laid.circuit.constant_m if layer.angle is None else None
         layers.append(
-            replace(layer, turn_m=turn, circuits=one.pattern.circuits, shift=one.pattern.shift)
+            replace(
+                layer,
+                turn_m=turn,
+                circuits=layer_laid.pattern.circuits,
+                shift=layer_laid.pattern.shift,
+            )
         )
     return replace(winding, layers=tuple(layers))
 
 
-def _outside(laid: Sequence[Laid]) -> Surface:
+def _outer_surface(laid: Sequence[Laid]) -> Surface:
     last = laid[-1]
     spread = last.spread()
     if spread is None:
@@ -138,54 +145,56 @@ def _outside(laid: Sequence[Laid]) -> Surface:
 def _mandrel(winding: Winding, points: FloatArray, outer: FloatArray) -> Surface:
     """Return the mandrel of points; refuse one that doubles back or reaches the axis."""
     step = np.diff(points[:, 0])
-    wrong = np.append(step <= 0.0, False) | (points[:, 1] <= 0.0)
-    if wrong.any():
-        at = int(np.argmax(wrong))
+    is_wrong = np.append(step <= 0.0, False) | (points[:, 1] <= 0.0)
+    if is_wrong.any():
+        worst = int(np.argmax(is_wrong))
         raise JobError(
-            f"no bare mandrel gives this outer shape: under {1e3 * outer[at, 0]:.4g} mm (radius "
-            f"{1e3 * outer[at, 1]:.4g} mm) it would "
-            + ("reach its axis" if points[at, 1] <= 0.0 else "double back"),
+            f"no bare mandrel gives this outer shape: under {1e3 * outer[worst, 0]:.4g} mm (radius "
+            f"{1e3 * outer[worst, 1]:.4g} mm) it would "
+            + ("reach its axis" if points[worst, 1] <= 0.0 else "double back"),
             place=Place(str(winding.path)),
             remedy="Wind fewer or thinner layers there, or turn them at different radii.",
         )
     return surface_of(table(points), _EDGE_M, str(winding.path.name))
 
 
-def _over(surface: Surface, outer: FloatArray, normal: FloatArray) -> FloatArray:
+def _outside_of(surface: Surface, outer: FloatArray, normal: FloatArray) -> FloatArray:
     """Return (n,) how far a surface lies outside of points, m, along their normals.
 
     Newton's method for the place where the normal meets the surface.
     """
-    at = surface.place_of(outer[:, 0])
-    out = np.zeros(len(outer))
+    foot_u = surface.place_of(outer[:, 0])
+    outside_m = np.zeros(len(outer))
     for _ in range(30):
-        x, r = surface.at(at)
+        x, r = surface.at(foot_u)
         tangent = np.column_stack([x[:, 1], r[:, 1]])
-        gap = np.column_stack([x[:, 0], r[:, 0]]) - outer
-        # outer + out n = place + step tangent
+        difference = np.column_stack([x[:, 0], r[:, 0]]) - outer
+        # outer + outside_m n = place + step tangent
         cross = tangent[:, 0] * normal[:, 1] - tangent[:, 1] * normal[:, 0]
-        step = (normal[:, 0] * gap[:, 1] - normal[:, 1] * gap[:, 0]) / cross
-        at = np.clip(at + step, 0.0, surface.length_m)
-        out = (tangent[:, 0] * gap[:, 1] - tangent[:, 1] * gap[:, 0]) / cross
+        step = (normal[:, 0] * difference[:, 1] - normal[:, 1] * difference[:, 0]) / cross
+        foot_u = np.clip(foot_u + step, 0.0, surface.length_m)
+        outside_m = (tangent[:, 0] * difference[:, 1] - tangent[:, 1] * difference[:, 0]) / cross
         if np.abs(step).max() < 1e-12:
             break
     # Beyond the ends of the surface there is nothing to compare with.
-    met = (at > 0.0) & (at < surface.length_m)
-    return np.asarray(np.interp(np.arange(len(out)), np.flatnonzero(met), out[met]))
+    has_foot = (foot_u > 0.0) & (foot_u < surface.length_m)
+    return np.asarray(
+        np.interp(np.arange(len(outside_m)), np.flatnonzero(has_foot), outside_m[has_foot])
+    )
 
 
 def _deepest_m(points: FloatArray) -> float:
     """Return how far a meridian lies below a string that is drawn taut over it, m."""
-    taut: list[tuple[float, float]] = []
+    string: list[tuple[float, float]] = []
     for x, r in points.tolist():
-        while len(taut) > 1:
-            (x0, r0), (x1, r1) = taut[-2:]
+        while len(string) > 1:
+            (x0, r0), (x1, r1) = string[-2:]
             if (r1 - r0) * (x - x0) > (r - r0) * (x1 - x0):
                 break
-            taut.pop()
-        taut.append((x, r))
-    over = np.interp(points[:, 0], *np.array(taut).T)
-    return float((over - points[:, 1]).max())
+            string.pop()
+        string.append((x, r))
+    string_r = np.interp(points[:, 0], *np.array(string).T)
+    return float((string_r - points[:, 1]).max())
 
 
 def write_meridian(file: Path, points: FloatArray) -> None:

@@ -23,9 +23,9 @@ from threadline.laminate.theory import Ply
 
 _HOLLOW = 1e-6  # of 1 / r, of a curvature that points outwards
 _PER_RADIUS = 8  # rings in a length of the largest radius
-_LEAST, _MOST = 16, 160  # rings
+_LEAST_RINGS, _MAX_RINGS = 16, 160  # rings
 _THINNEST = 0.05  # of the band: less is no ply
-_ROUND = math.radians(2.0)  # nearer to 90 deg both directions are one
+_HOOP_RAD = math.radians(2.0)  # nearer to 90 deg both directions are one
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -77,14 +77,14 @@ class Laid:
 
         A circuit passes every place twice: a layer has two bands, times its coverage.
         """
-        thick = self.layer.band.thickness
-        return None if thick is None else 2.0 * thick * self.pattern.coverage
+        band_m = self.layer.band.thickness
+        return None if band_m is None else 2.0 * band_m * self.pattern.coverage
 
     @property
     def fibre_m2(self) -> float | None:
         """Cross-section of all bands on a parallel, m^2; None without a thickness of the band."""
-        thick = self.layer.band.thickness
-        return None if thick is None else 2.0 * self.pattern.circuits * self.wrap.width_m * thick
+        band_m = self.layer.band.thickness
+        return None if band_m is None else 2.0 * self.pattern.circuits * self.wrap.width_m * band_m
 
     def spread(self) -> Thickness | None:
         """Return the thickness along the meridian; None if it is unknown."""
@@ -109,9 +109,12 @@ class Laid:
         course = self.circuit.course()
         x, r = surface.at(course[:, 1])
         speed = np.hypot(x[:, 1], r[:, 1])
-        bend = (r[:, 1] * x[:, 2] - x[:, 1] * r[:, 2]) / speed**3
-        round_ = x[:, 1] / (speed * r[:, 0])
-        normal = bend * np.cos(course[:, 3]) ** 2 + round_ * np.sin(course[:, 3]) ** 2
+        along_curvature = (r[:, 1] * x[:, 2] - x[:, 1] * r[:, 2]) / speed**3
+        round_curvature = x[:, 1] / (speed * r[:, 0])
+        normal = (
+            along_curvature * np.cos(course[:, 3]) ** 2
+            + round_curvature * np.sin(course[:, 3]) ** 2
+        )
         places = x[normal * r[:, 0] < -_HOLLOW, 0]
         return (float(places.min()), float(places.max())) if len(places) else None
 
@@ -125,12 +128,12 @@ class Laid:
     def slip(self) -> float:
         """Largest friction ratio of the path, dwells without a boss included."""
         circuit, wrap = self.circuit, self.wrap
-        found = [abs(circuit.left.ratio), abs(circuit.right.ratio)]
+        ratios = [abs(circuit.left.ratio), abs(circuit.right.ratio)]
         for site, turn in zip(wrap.sites, (circuit.left, circuit.right), strict=True):
             slip = wrap.slip_at(circuit, site)
             if turn.dwell and slip <= wrap.friction:
-                found.append(slip)
-        return max(found)
+                ratios.append(slip)
+        return max(ratios)
 
 
 def design(winding: Winding) -> tuple[Laid, ...]:
@@ -141,7 +144,7 @@ def design(winding: Winding) -> tuple[Laid, ...]:
     JobError
         If a layer cannot be wound; the error names its line.
     """
-    found = []
+    layers_laid = []
     surface = winding.product.surface
     for layer in winding.layers:
         with placed(Place(str(winding.path), layer.line)):
@@ -149,9 +152,9 @@ def design(winding: Winding) -> tuple[Laid, ...]:
             table = patterns(wrap)
             pattern, by = chosen(wrap, table)
             circuit = closed_circuit(wrap, pattern, by)
-            one = Laid(wrap, tuple(table), pattern, by, circuit)
-            spread = one.spread()
-        found.append(one)
+            layer_laid = Laid(wrap, tuple(table), pattern, by, circuit)
+            spread = layer_laid.spread()
+        layers_laid.append(layer_laid)
         if spread is not None and layer is not winding.layers[-1]:
             try:
                 surface = grown(surface, spread)
@@ -160,7 +163,7 @@ def design(winding: Winding) -> tuple[Laid, ...]:
                     layer, f"nothing can be wound on this layer: with it {error.message}",
                     "Turn the layers at different radii, or take a thinner band.",
                 )  # fmt: skip
-    return tuple(found)
+    return tuple(layers_laid)
 
 
 def bridged(laid: Laid) -> str | None:
@@ -169,7 +172,7 @@ def bridged(laid: Laid) -> str | None:
     if hollow is None:
         return None
     place = Place(str(laid.wrap.winding.path), laid.layer.line)
-    begin, end = (1e3 * one for one in hollow)
+    begin, end = (1e3 * place_m for place_m in hollow)
     return (
         f"{place}: the fibre bridges the hollow of the mandrel at {begin:.4g} to {end:.4g} mm. "
         "An angle nearer to 90 deg lies closer; threadline prove tells the height."
@@ -189,17 +192,17 @@ def rings_of(laid: Sequence[Laid]) -> tuple[Rings, dict[str, Ply]]:
     """
     constants: dict[str, Ply] = {}
     names: list[str] = []
-    for number, one in enumerate(laid, start=1):
-        band, layer = one.layer.band, one.layer
+    for number, layer_laid in enumerate(laid, start=1):
+        band, layer = layer_laid.layer.band, layer_laid.layer
         if band.composite is None or band.fibre_volume is None or band.thickness is None:
-            lacks = "material" if band.composite is None else "thickness"
+            missing = "material" if band.composite is None else "thickness"
             raise JobError(
-                f"a shell model needs the {lacks} of layer {number}",
-                place=Place(str(one.wrap.winding.path), layer.line),
+                f"a shell model needs the {missing} of layer {number}",
+                place=Place(str(layer_laid.wrap.winding.path), layer.line),
                 remedy='Write material = "e-glass/epoxy" and thickness = "0.3 mm" into [band].',
             )
         ply = band.composite.ply(band.fibre_volume)
-        name = next((name for name, known in constants.items() if known == ply), None)
+        name = next((name for name, known_ply in constants.items() if known_ply == ply), None)
         if name is None:
             name = f"MATERIAL_{len(constants) + 1}"
             constants[name] = ply
@@ -214,25 +217,27 @@ def rings_of(laid: Sequence[Laid]) -> tuple[Rings, dict[str, Ply]]:
             place=Place(str(laid[0].wrap.winding.path)),
             remedy="Let the layers meet.",
         )
-    most = float(base.at(u)[1][:, 0].max())
-    count = min(max(math.ceil(_PER_RADIUS * (end - begin) / most), _LEAST), _MOST)
+    largest_m = float(base.at(u)[1][:, 0].max())
+    count = min(max(math.ceil(_PER_RADIUS * (end - begin) / largest_m), _LEAST_RINGS), _MAX_RINGS)
     places = np.linspace(begin, end, 2 * count + 1)
     x, r = base.at(places)
     speed = np.hypot(x[:, 1], r[:, 1])
     outwards = np.column_stack([-r[:, 1], x[:, 1]]) / speed[:, None]
     thickness, angle = _stack(laid, places[1::2])
     plies = []
-    for of_ring, angles in zip(thickness.tolist(), angle.tolist(), strict=True):
+    for ring_thickness, angles in zip(thickness.tolist(), angle.tolist(), strict=True):
         ring: list[DeckPly] = []
-        for one, name, thick, a in zip(laid, names, of_ring, angles, strict=True):
-            if thick > _THINNEST * (one.layer.band.thickness or 0.0):
-                ring += _plies(name, a, thick)
+        for layer_laid, name, thickness_m, a in zip(
+            laid, names, ring_thickness, angles, strict=True
+        ):
+            if thickness_m > _THINNEST * (layer_laid.layer.band.thickness or 0.0):
+                ring += _plies(name, a, thickness_m)
         plies.append(ring)
     return Rings(np.column_stack([x[:, 0], r[:, 0]]), outwards, plies), constants
 
 
 def _plies(name: str, angle: float, thickness: float) -> list[DeckPly]:
-    if 0.5 * math.pi - angle < _ROUND:
+    if 0.5 * math.pi - angle < _HOOP_RAD:
         return [DeckPly(name, 0.5 * math.pi, thickness)]
     quarter = 0.25 * thickness
     return [DeckPly(name, sign * angle, quarter) for sign in (1.0, -1.0, -1.0, 1.0)]
@@ -247,20 +252,20 @@ def _stack(laid: Sequence[Laid], u: FloatArray) -> tuple[FloatArray, FloatArray]
     x, r = surface.at(u)
     points = np.column_stack([x[:, 0], r[:, 0]])
     thickness, angle = np.zeros((len(u), len(laid))), np.zeros((len(u), len(laid)))
-    for column, one in enumerate(laid):
-        circuit = one.circuit
+    for column, layer_laid in enumerate(laid):
+        circuit = layer_laid.circuit
         surface = circuit.surface
-        at = u if column == 0 else surface.place_of(points[:, 0])
-        spread = one.spread()
+        places = u if column == 0 else surface.place_of(points[:, 0])
+        spread = layer_laid.spread()
         assert spread is not None
-        thickness[:, column] = spread.at(at)
+        thickness[:, column] = spread.at(places)
         rows = np.vstack([circuit.left.rows[::-1], circuit.middle, circuit.right.rows])
         order = np.argsort(rows[:, 1], kind="stable")
         # Beyond a turn the band lies along the parallel.
         angle[:, column] = np.interp(
-            at, rows[order, 1], rows[order, 3], left=0.5 * math.pi, right=0.5 * math.pi
+            places, rows[order, 1], rows[order, 3], left=0.5 * math.pi, right=0.5 * math.pi
         )
-        x, r = surface.at(at)
+        x, r = surface.at(places)
         speed = np.hypot(x[:, 1], r[:, 1])
         normal = np.column_stack([-r[:, 1], x[:, 1]]) / speed[:, None]
         points = points + thickness[:, column, None] * normal

@@ -102,8 +102,8 @@ class Circuit:
     @property
     def advance(self) -> float:
         """Angle round in a circuit, rad, with dwells."""
-        ways = self.left.round + float(self.middle[-1, 2]) + self.right.round
-        return 2.0 * ways + self.left.dwell + self.right.dwell
+        round_rad = self.left.round + float(self.middle[-1, 2]) + self.right.round
+        return 2.0 * round_rad + self.left.dwell + self.right.dwell
 
     @property
     def length_m(self) -> float:
@@ -135,55 +135,55 @@ class Circuit:
         The winding angle is between the fibre and the meridian to the right: above 90 degrees on
         the way back.
         """
-        out = self._pass()
+        forward = self._pass()
         turns = self.right, self.left
         if side > 0:
-            out, turns = _turned_round(out), (self.left, self.right)
-        back = np.empty((len(out), 4))
-        back[:, 0] = 2.0 * out[-1, 0] - out[::-1, 0]
-        back[:, 1] = out[::-1, 1]
-        back[:, 2] = 2.0 * out[-1, 2] - out[::-1, 2]
-        back[:, 3] = math.pi - out[::-1, 3]
-        parts = [out]
-        for turn, rows in zip(turns, (back[1:], np.empty((0, 4))), strict=True):
+            forward, turns = _reversed_rows(forward), (self.left, self.right)
+        backward = np.empty((len(forward), 4))
+        backward[:, 0] = 2.0 * forward[-1, 0] - forward[::-1, 0]
+        backward[:, 1] = forward[::-1, 1]
+        backward[:, 2] = 2.0 * forward[-1, 2] - forward[::-1, 2]
+        backward[:, 3] = math.pi - forward[::-1, 3]
+        parts = [forward]
+        for turn, rows in zip(turns, (backward[1:], np.empty((0, 4))), strict=True):
             last = parts[-1][-1]
             if turn.dwell:
                 count = max(math.ceil(abs(turn.dwell) / 0.05), 1)
                 share = np.arange(1, count + 1) / count
-                still = np.tile(last, (count, 1))
-                still[:, 0] += abs(turn.dwell) * turn.radius_m * share
-                still[:, 2] += turn.dwell * share
-                parts.append(still)
+                dwell_rows = np.tile(last, (count, 1))
+                dwell_rows[:, 0] += abs(turn.dwell) * turn.radius_m * share
+                dwell_rows[:, 2] += turn.dwell * share
+                parts.append(dwell_rows)
             if len(rows):
-                moved = rows.copy()
-                moved[:, 0] += parts[-1][-1, 0] - last[0]
-                moved[:, 2] += parts[-1][-1, 2] - last[2]
-                parts.append(moved)
+                moved_rows = rows.copy()
+                moved_rows[:, 0] += parts[-1][-1, 0] - last[0]
+                moved_rows[:, 2] += parts[-1][-1, 2] - last[2]
+                parts.append(moved_rows)
         return np.vstack(parts)
 
     def _pass(self) -> FloatArray:
         """Return the rows from the left turn to the right one."""
         left, right = self.left.rows, self.right.rows
-        first = left[::-1].copy()
-        first[:, 0] = left[-1, 0] - first[:, 0]
-        first[:, 2] = left[-1, 2] - first[:, 2]
-        parts = [first]
+        left_rows = left[::-1].copy()
+        left_rows[:, 0] = left[-1, 0] - left_rows[:, 0]
+        left_rows[:, 2] = left[-1, 2] - left_rows[:, 2]
+        parts = [left_rows]
         for rows in (self.middle, right):
-            moved = rows[1:].copy()
-            moved[:, (0, 2)] += parts[-1][-1, (0, 2)]
-            if len(moved):
-                parts.append(moved)
+            moved_rows = rows[1:].copy()
+            moved_rows[:, (0, 2)] += parts[-1][-1, (0, 2)]
+            if len(moved_rows):
+                parts.append(moved_rows)
         return np.vstack(parts)
 
 
-def _turned_round(rows: FloatArray) -> FloatArray:
+def _reversed_rows(rows: FloatArray) -> FloatArray:
     """Return the rows of the way back, from its own beginning on."""
-    back = np.empty_like(rows)
-    back[:, 0] = rows[-1, 0] - rows[::-1, 0]
-    back[:, 1] = rows[::-1, 1]
-    back[:, 2] = rows[-1, 2] - rows[::-1, 2]
-    back[:, 3] = math.pi - rows[::-1, 3]
-    return back
+    backward = np.empty_like(rows)
+    backward[:, 0] = rows[-1, 0] - rows[::-1, 0]
+    backward[:, 1] = rows[::-1, 1]
+    backward[:, 2] = rows[-1, 2] - rows[::-1, 2]
+    backward[:, 3] = math.pi - rows[::-1, 3]
+    return backward
 
 
 def widest(surface: Surface, level: float = LEVEL) -> tuple[float, float, float]:
@@ -247,13 +247,14 @@ def turn_of(surface: Surface, site: Site, constant_m: float, ratio: float, name:
     until = surface.length_m if site.side > 0 else 0.0
     rows, why = _traced(surface, (site.joint, constant_m), ratio, site.side, until)
     if why != TURNED:
-        where = "right" if site.side > 0 else "left"
-        what = {REACHED: "runs off the mandrel", AWAY: "is steered along the meridian"}.get(
+        side_name = "right" if site.side > 0 else "left"
+        fault = {REACHED: "runs off the mandrel", AWAY: "is steered along the meridian"}.get(
             why, "never turns back"
         )
         raise JobError(
-            f"{name}the fibre {what} at the {where} end with a friction ratio of {abs(ratio):.3g}",
-            remedy=_more(surface, site, constant_m, ratio),
+            f"{name}the fibre {fault} at the {side_name} end with a friction ratio of "
+            f"{abs(ratio):.3g}",
+            remedy=_friction_remedy(surface, site, constant_m, ratio),
         )
     return Turn(rows, ratio, float(surface.at(rows[-1:, 1])[1][0, 0]))
 
@@ -265,23 +266,23 @@ def turns(surface: Surface, site: Site, constant_m: float, ratio: float, until: 
     return _traced(surface, (site.joint, constant_m), ratio, site.side, until)[1] == TURNED
 
 
-def _more(surface: Surface, site: Site, constant_m: float, ratio: float) -> str:
+def _friction_remedy(surface: Surface, site: Site, constant_m: float, ratio: float) -> str:
     """Return which friction would turn the fibre before the end of the mandrel."""
     if site.dome or ratio <= 0.0:
         return "Give a larger turn, or a mandrel that ends at a smaller opening."
     until = surface.length_m if site.side > 0 else 0.0
 
-    def turned(tried: float) -> bool:
-        return turns(surface, site, constant_m, tried, until)
+    def turns_at(tried_ratio: float) -> bool:
+        return turns(surface, site, constant_m, tried_ratio, until)
 
     low, high = ratio, 2.0 * ratio
-    while not turned(high):
+    while not turns_at(high):
         low, high = high, 2.0 * high
         if high > _MOST_RATIO:
             return "Make the mandrel longer, or the angle larger."
     for _ in range(_HALVINGS):
         middle = 0.5 * (low + high)
-        low, high = (low, middle) if turned(middle) else (middle, high)
+        low, high = (low, middle) if turns_at(middle) else (middle, high)
     return (
         f"A ratio of {high:.3g} would turn it: pins, a longer mandrel or a larger angle help, too."
     )
@@ -320,8 +321,8 @@ def circuit_of(
             "end that is to be covered",
             remedy="Give a smaller angle.",
         )
-    made = [
+    both_turns = [
         turn_of(surface, site, constant_m, ratio, name)
         for site, ratio in zip(sites, ratios, strict=True)
     ]
-    return Circuit(surface, constant_m, made[0], middle, made[1])
+    return Circuit(surface, constant_m, both_turns[0], middle, both_turns[1])

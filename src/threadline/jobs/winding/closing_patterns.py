@@ -24,7 +24,7 @@ _SAMPLES = 9  # angles between which the table interpolates
 _HALVINGS = 14  # of the range of friction ratios in search of its end
 _MORE = 1.10  # coverage up to which patterns are listed, by the least wanted
 _MOST_SHOWN = 1000
-_FARTHEST = 200  # circuits from the asked number, in search of a pattern that closes
+_MAX_COUNTS_AWAY = 200  # circuits from the asked number, in search of a pattern that closes
 _FLAT = 1e-12
 _ROUNDS = 40
 _CLOSED = 1e-13  # rad
@@ -71,13 +71,13 @@ class Pattern:
     @property
     def ways(self) -> tuple[Closing, ...]:
         """The ways to close it."""
-        found: list[Closing] = []
+        closings: list[Closing] = []
         for name, value in (
             ("friction", self.ratio), ("angle", self.constant_m), ("dwell", self.dwell)
         ):  # fmt: skip
             if not math.isnan(value):
-                found.append(name)  # type: ignore[arg-type]
-        return tuple(found)
+                closings.append(name)  # type: ignore[arg-type]
+        return tuple(closings)
 
 
 def patterns(wrap: Wrap) -> list[Pattern]:
@@ -93,32 +93,35 @@ def patterns(wrap: Wrap) -> list[Pattern]:
         count = layer.circuits or 1
         turns = round(base.advance * count / _TURN)
         return [Pattern(count, 0, float(count), 1, True, turns, 0.0, dwell=0.0)]
-    around = _TURN * base.widest_m * math.cos(base.angle) / wrap.width_m
-    least = max(math.ceil(layer.cover * around - 1e-9), 1)
+    bands_around = _TURN * base.widest_m * math.cos(base.angle) / wrap.width_m
+    least = max(math.ceil(layer.cover * bands_around - 1e-9), 1)
     if layer.circuits is not None:
         if layer.circuits < least:
             wrap.winding.refuse(
                 layer,
-                f"{layer.circuits} circuits cover {100.0 * layer.circuits / around:.1f} % of the "
+                f"{layer.circuits} circuits cover {100.0 * layer.circuits / bands_around:.1f} % "
+                "of the "
                 f"largest radius, and cover asks for {100.0 * layer.cover:.4g} %",
                 f"The nearest number that covers it is circuits = {least}; or leave out cover.",
             )
         counts = range(layer.circuits, layer.circuits + 1)
     else:
         low = least
-        counts = range(low, max(math.floor(_MORE * layer.cover * around), low) + 1)
+        counts = range(low, max(math.floor(_MORE * layer.cover * bands_around), low) + 1)
         if low > _MOST_SHOWN:
             wrap.winding.refuse(
                 layer, f"a layer would need {low} circuits, limit {_MOST_SHOWN}",
                 f"Is the band so narrow? If so, write circuits = {low} into the layer.",
             )  # fmt: skip
-    closing = _Ways(wrap)
-    closed = closing.closed(counts, layer.shift)
+    ways = _Ways(wrap)
+    closed_patterns = ways.closed(counts, layer.shift)
     by_dwell = layer.close == "dwell" or not wrap.domes
-    closed.sort(key=lambda one: (one.dwell if by_dwell else abs(one.off), one.circuits))
-    if not closed:
-        wrap.winding.refuse(layer, f"no pattern {_asked(layer)}", _remedy(closing, counts))
-    return closed
+    closed_patterns.sort(
+        key=lambda pattern: (pattern.dwell if by_dwell else abs(pattern.off), pattern.circuits)
+    )
+    if not closed_patterns:
+        wrap.winding.refuse(layer, f"no pattern {_asked_words(layer)}", _remedy(ways, counts))
+    return closed_patterns
 
 
 class _Ways:
@@ -133,33 +136,37 @@ class _Ways:
 
     def closed(self, counts: Sequence[int], shift: int | None) -> list[Pattern]:
         """Return the patterns of some numbers of circuits that close in a way that is wanted."""
-        close, found = self.wrap.layer.close, []
+        close, closing = self.wrap.layer.close, []
         for pattern in self.patterns(counts, shift):
             dwell = pattern.off % _TURN if self._dwells else math.nan
-            one = replace(
+            candidate = replace(
                 pattern, ratio=self._frictions(pattern.off), constant_m=self._angles(pattern.off),
                 dwell=dwell,
             )  # fmt: skip
-            if one.ways and (close is None or close in one.ways):
-                found.append(one)
-        return found
+            if candidate.ways and (close is None or close in candidate.ways):
+                closing.append(candidate)
+        return closing
 
     def patterns(self, counts: Sequence[int], shift: int | None) -> list[Pattern]:
         """Return all patterns of some numbers of circuits, whether they close or not."""
         advance = self.wrap.base.advance
         return [
-            pattern for count in counts for pattern in _of_count(advance, count, self.around, shift)
+            pattern
+            for count in counts
+            for pattern in _patterns_of_count(advance, count, self.around, shift)
         ]
 
     def nearest(self, counts: Sequence[int]) -> Pattern | None:
         """Return a pattern that closes, with the number of circuits nearest to the asked ones."""
-        wanted = (counts[0], counts[-1])
-        near = [list(counts)]
-        near += [[wanted[0] - far, wanted[1] + far] for far in range(1, _FARTHEST)]
-        for tried in near:
-            found = self.closed([count for count in tried if count > 0], None)
-            if found:
-                return min(found, key=lambda one: abs(one.off))
+        ends = (counts[0], counts[-1])
+        count_lists = [list(counts)]
+        count_lists += [
+            [ends[0] - distance, ends[1] + distance] for distance in range(1, _MAX_COUNTS_AWAY)
+        ]
+        for counts_tried in count_lists:
+            closing = self.closed([count for count in counts_tried if count > 0], None)
+            if closing:
+                return min(closing, key=lambda pattern: abs(pattern.off))
         return None
 
     def friction_for(self, counts: Sequence[int], shift: int | None) -> float | None:
@@ -167,16 +174,18 @@ class _Ways:
         if not all(site.dome for site in self.wrap.sites):
             return None
         ratios = _by_friction(replace(self.wrap, friction=1.0))
-        found = [abs(ratios(one.off)) for one in self.patterns(counts, shift)]
-        return min((one / MARGIN for one in found if one <= MARGIN), default=None)
+        ratios_needed = [abs(ratios(pattern.off)) for pattern in self.patterns(counts, shift)]
+        return min(
+            (pattern / MARGIN for pattern in ratios_needed if pattern <= MARGIN), default=None
+        )
 
 
-def _asked(layer: Layer) -> str:
+def _asked_words(layer: Layer) -> str:
     """Return the words for the patterns that a layer asks for, and how they should close."""
-    found = "of this layer" if layer.circuits is None else f"with {layer.circuits} circuits"
+    text = "of this layer" if layer.circuits is None else f"with {layer.circuits} circuits"
     if layer.shift is not None:
-        found += f" and shift {layer.shift}"
-    return found + " closes" + (f" by {layer.close}" if layer.close else "")
+        text += f" and shift {layer.shift}"
+    return text + " closes" + (f" by {layer.close}" if layer.close else "")
 
 
 def _remedy(closing: _Ways, counts: Sequence[int]) -> str:
@@ -188,11 +197,11 @@ def _remedy(closing: _Ways, counts: Sequence[int]) -> str:
             f"A dwell on the parallel has a slip tendency of {slips:.2g}, the friction holds "
             f"{wrap.friction:.2g}: declare a [[boss]] or a ring of pins, or close by friction."
         )
-    near = closing.nearest(counts)
-    if near is not None:
+    nearest = closing.nearest(counts)
+    if nearest is not None:
         remedies.append(
-            f"The nearest that closes: circuits = {near.circuits}, shift = {near.shift}, "
-            f"{near.coverage:.1%} covered."
+            f"The nearest that closes: circuits = {nearest.circuits}, shift = {nearest.shift}, "
+            f"{nearest.coverage:.1%} covered."
         )
     friction = closing.friction_for(counts, wrap.layer.shift)
     if friction is not None and wrap.layer.close in (None, "friction"):
@@ -202,18 +211,21 @@ def _remedy(closing: _Ways, counts: Sequence[int]) -> str:
     )
 
 
-def _of_count(advance: float, count: int, around: float, shift: int | None) -> Iterator[Pattern]:
-    whole = math.floor(advance / _TURN)
+def _patterns_of_count(
+    advance: float, count: int, bands_around: float, shift: int | None
+) -> Iterator[Pattern]:
+    whole_turns = math.floor(advance / _TURN)
     shifts = range(count) if shift is None else (shift % count,)
     for k in shifts:
         if math.gcd(k, count) != 1:
             continue
         off = math.remainder(_TURN * k / count - advance, _TURN)
-        ahead = pow(k, -1, count) if count > 1 else 1
-        turns = round((advance + off) * count / _TURN) if whole >= 0 else 0
+        steps_ahead = pow(k, -1, count) if count > 1 else 1
+        turns = round((advance + off) * count / _TURN) if whole_turns >= 0 else 0
         yield Pattern(
-            circuits=count, shift=k, coverage=count / around,
-            beside=min(ahead, count - ahead) or 1, leading=ahead <= count - ahead,
+            circuits=count, shift=k, coverage=count / bands_around,
+            beside=min(steps_ahead, count - steps_ahead) or 1,
+            leading=steps_ahead <= count - steps_ahead,
             turns=turns, off=off,
         )  # fmt: skip
 
@@ -221,47 +233,47 @@ def _of_count(advance: float, count: int, around: float, shift: int | None) -> I
 def _inverse(values: FloatArray, advances: FloatArray, base: float) -> Callable[[float], float]:
     """Return the value for a wanted change of the advance, NaN beyond the samples."""
     order = np.argsort(advances)
-    found, at = values[order], advances[order] - base
-    return lambda off: float(np.interp(off, at, found, left=np.nan, right=np.nan))
+    sorted_values, changes = values[order], advances[order] - base
+    return lambda off: float(np.interp(off, changes, sorted_values, left=np.nan, right=np.nan))
 
 
-def _none(_off: float) -> float:
+def _never(_off: float) -> float:
     return math.nan
 
 
 def _by_friction(wrap: Wrap) -> Callable[[float], float]:
     """Return the friction ratio on the domes for the angle that a circuit lacks."""
     if not wrap.domes:
-        return _none
+        return _never
 
-    def tried(ratio: float) -> float:
+    def advance_at(ratio: float) -> float:
         try:
             circuit = wrap.circuit(ratio)
         except JobError:
             return math.nan
-        return math.nan if _inside(wrap, circuit) else circuit.advance
+        return math.nan if _turns_too_near(wrap, circuit) else circuit.advance
 
-    ends = [_furthest(tried, sign * wrap.friction) for sign in (-1.0, 1.0)]
+    ends = [_largest_succeeding(advance_at, sign * wrap.friction) for sign in (-1.0, 1.0)]
     samples = np.concatenate([np.linspace(ends[0], 0.0, 5), np.linspace(0.0, ends[1], 5)[1:]])
-    advances = np.array([tried(float(ratio)) for ratio in samples])
-    known = np.isfinite(advances)
-    if known.sum() < 2:
-        return _none
-    return _inverse(samples[known], advances[known], wrap.base.advance)
+    advances = np.array([advance_at(float(ratio)) for ratio in samples])
+    is_known = np.isfinite(advances)
+    if is_known.sum() < 2:
+        return _never
+    return _inverse(samples[is_known], advances[is_known], wrap.base.advance)
 
 
-def _furthest(tried: Callable[[float], float], wanted: float) -> float:
+def _largest_succeeding(advance_at: Callable[[float], float], wanted: float) -> float:
     """Return the largest value from 0 towards ``wanted`` at which a trial still succeeds."""
-    if not math.isnan(tried(wanted)):
+    if not math.isnan(advance_at(wanted)):
         return wanted
     low, high = 0.0, wanted
     for _ in range(_HALVINGS):
         middle = 0.5 * (low + high)
-        low, high = (low, middle) if math.isnan(tried(middle)) else (middle, high)
+        low, high = (low, middle) if math.isnan(advance_at(middle)) else (middle, high)
     return low
 
 
-def _inside(wrap: Wrap, circuit: Circuit) -> bool:
+def _turns_too_near(wrap: Wrap, circuit: Circuit) -> bool:
     """Return whether a circuit turns nearer to a pole than its band can, by more than 1 nm."""
     return any(
         site.dome and turn.radius_m < wrap.least_m - 1e-9
@@ -286,12 +298,12 @@ def _by_angle(wrap: Wrap) -> Callable[[float], float]:
             circuit = wrap.circuit(constant_m=constant)
         except JobError:
             continue
-        if _inside(wrap, circuit):
+        if _turns_too_near(wrap, circuit):
             continue
         values.append(constant)
         advances.append(circuit.advance)
     if len(values) < 2 or not (np.diff(advances) * (advances[-1] - advances[0]) > 0.0).all():
-        return _none
+        return _never
     return _inverse(np.array(values), np.array(advances), wrap.base.advance)
 
 
@@ -305,7 +317,7 @@ def closed_circuit(wrap: Wrap, pattern: Pattern, by: Closing) -> Circuit:
     """
     target = wrap.base.advance + pattern.off
 
-    def make(value: float) -> Circuit:
+    def circuit_at(value: float) -> Circuit:
         if by == "friction":
             return wrap.circuit(ratio=value)
         return wrap.circuit(constant_m=value)
@@ -313,19 +325,19 @@ def closed_circuit(wrap: Wrap, pattern: Pattern, by: Closing) -> Circuit:
     if by == "dwell":
         return wrap.circuit(dwell=pattern.dwell) if pattern.dwell else wrap.base
     at, step = (pattern.ratio, 1e-4) if by == "friction" else (pattern.constant_m, 1e-6)
-    made = make(at)
-    last, error = at + step, made.advance - target
-    before = make(last).advance - target
+    circuit = circuit_at(at)
+    last_value, error = at + step, circuit.advance - target
+    last_error = circuit_at(last_value).advance - target
     for _ in range(_ROUNDS):
-        if abs(error) < _CLOSED or error == before:
+        if abs(error) < _CLOSED or error == last_error:
             break
-        following = at - error * (at - last) / (error - before)
-        if following == at:
+        next_value = at - error * (at - last_value) / (error - last_error)
+        if next_value == at:
             break
-        last, before, at = at, error, following
-        made = make(at)
-        error = made.advance - target
-    return made
+        last_value, last_error, at = at, error, next_value
+        circuit = circuit_at(at)
+        error = circuit.advance - target
+    return circuit
 
 
 def chosen(wrap: Wrap, found: list[Pattern]) -> tuple[Pattern, Closing]:

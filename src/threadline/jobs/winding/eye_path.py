@@ -24,7 +24,7 @@ _SAME = 1e-13  # m
 
 
 @njit(nogil=True)
-def _away(
+def _distance_to_mandrel(
     px: float, pr: float, v: float, nodes: FloatArray, x: FloatArray, r: FloatArray, hint: int
 ) -> tuple[float, float, int]:
     """Return distance of a point from the mandrel, the u of its foot, and the piece there."""
@@ -32,12 +32,12 @@ def _away(
     for _ in range(_FOOT_ROUNDS):
         hint, fx, fr, cb, sb, bend, speed = meridian(nodes, x, r, v, hint)
         dx, dr = px - fx, pr - fr
-        along, out = dx * cb + dr * sb, dr * cb - dx * sb
+        along_m, out_m = dx * cb + dr * sb, dr * cb - dx * sb
         # The foot moves by the length along, less on a convex meridian.
-        step = along / max(1.0 + bend * out, 0.2)
-        before = v
+        step = along_m / max(1.0 + bend * out_m, 0.2)
+        v_before = v
         v = min(max(v + step / speed, 0.0), last)
-        if abs(v - before) < _SAME:
+        if abs(v - v_before) < _SAME:
             break
     hint, fx, fr, cb, sb, bend, speed = meridian(nodes, x, r, v, hint)
     dx, dr = px - fx, pr - fr
@@ -61,7 +61,7 @@ def free_lengths(
     far
         Distance of the envelope from the mandrel, or with ``round_`` its radius, m.
     """
-    found = np.full(len(course), np.nan)
+    lengths = np.full(len(course), np.nan)
     hint, foot_hint = 0, 0
     for i in range(len(course)):
         u, angle = course[i, 1], course[i, 3]
@@ -71,40 +71,42 @@ def free_lengths(
             # |(r + L ca sb, L sa)| = far
             a, b, c = ca * ca * sb * sb + sa * sa, pr * ca * sb, pr * pr - far * far
             if c < 0.0 and a > 1e-12:
-                found[i] = (-b + math.sqrt(b * b - a * c)) / a
+                lengths[i] = (-b + math.sqrt(b * b - a * c)) / a
             continue
         low, high, foot, foot_hint = 0.0, far, u, hint
-        value = -far
+        excess_low = -far
         for _ in range(60):  # the tangent leaves a convex mandrel for ever
             radius = math.hypot(pr + high * ca * sb, high * sa)
-            away, foot, foot_hint = _away(px + high * ca * cb, radius, foot, nodes, x, r, foot_hint)
-            if away > far:
+            distance_m, foot, foot_hint = _distance_to_mandrel(
+                px + high * ca * cb, radius, foot, nodes, x, r, foot_hint
+            )
+            if distance_m > far:
                 break
-            low, value = high, away - far
+            low, excess_low = high, distance_m - far
             high *= 1.5
         else:
             continue
-        above = away - far
+        excess_high = distance_m - far
         length = high
         for step in range(_ROUNDS):
             # Regula falsi, with a bisection in every third step.
             length = (
                 0.5 * (low + high)
                 if step % 3 == 2
-                else low - value * (high - low) / (above - value)
+                else low - excess_low * (high - low) / (excess_high - excess_low)
             )
             radius = math.hypot(pr + length * ca * sb, length * sa)
-            away, foot, foot_hint = _away(
+            distance_m, foot, foot_hint = _distance_to_mandrel(
                 px + length * ca * cb, radius, foot, nodes, x, r, foot_hint
             )
-            if away > far:
-                high, above = length, away - far
+            if distance_m > far:
+                high, excess_high = length, distance_m - far
             else:
-                low, value = length, away - far
-            if abs(away - far) < 1e-13 or high - low < 1e-13:
+                low, excess_low = length, distance_m - far
+            if abs(distance_m - far) < 1e-13 or high - low < 1e-13:
                 break
-        found[i] = length
-    return found
+        lengths[i] = length
+    return lengths
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -159,12 +161,12 @@ def eye_path(surface: Surface, course: FloatArray, far_m: float, round_: bool) -
     """
     free = free_lengths(course, surface.nodes, surface.x, surface.r, far_m, round_)
     if not np.isfinite(free).all():
-        at = int(np.argmin(np.isfinite(free)))
-        x, r = (float(v[0, 0]) for v in surface.at(course[at : at + 1, 1]))
-        what = "radius" if round_ else "distance"
+        bad_row = int(np.argmin(np.isfinite(free)))
+        x, r = (float(v[0, 0]) for v in surface.at(course[bad_row : bad_row + 1, 1]))
+        quantity = "radius" if round_ else "distance"
         raise JobError(
             f"at {1e3 * x:.4g} mm along the mandrel (radius {1e3 * r:.4g} mm) the fibre's tangent "
-            f"does not meet the envelope with a {what} of {1e3 * far_m:.4g} mm",
+            f"does not meet the envelope with a {quantity} of {1e3 * far_m:.4g} mm",
             remedy=(
                 "The machine cannot move its eye across: fewer layers, a smaller mandrel, or "
                 "a [tool] farther away."
@@ -176,9 +178,13 @@ def eye_path(surface: Surface, course: FloatArray, far_m: float, round_: bool) -
     slope = np.hypot(xs[:, 1], rs[:, 1])
     cb, sb = xs[:, 1] / slope, rs[:, 1] / slope
     ca, sa = np.cos(course[:, 3]), np.sin(course[:, 3])
-    out, aside = rs[:, 0] + free * ca * sb, free * sa
+    radial, tangential = rs[:, 0] + free * ca * sb, free * sa
     eye = np.column_stack(
-        [course[:, 2] + np.arctan2(aside, out), xs[:, 0] + free * ca * cb, np.hypot(out, aside)]
+        [
+            course[:, 2] + np.arctan2(tangential, radial),
+            xs[:, 0] + free * ca * cb,
+            np.hypot(radial, tangential),
+        ]
     )
     return EyePath(course, free, eye)
 
@@ -194,17 +200,23 @@ def positions(tool: Tool, axes: tuple[str, ...], eye: FloatArray, at_m: float) -
         Machine place of the left end of the mandrel.
     """
     along, across, up = tool.payout_m
-    rest = [0.0 if part is None else part.zero_si for part in tool.parts]
-    high = up + (0.0 if tool.up is None else rest[3])
-    flat = np.sqrt(np.maximum(eye[:, 2] ** 2 - high**2, 0.0))
-    wanted = np.column_stack(
-        [eye[:, 0] + np.arctan2(high, flat), eye[:, 1] + at_m - along, flat - across]
+    zeros = [0.0 if part is None else part.zero_si for part in tool.parts]
+    height_m = up + (0.0 if tool.up is None else zeros[3])
+    horizontal_m = np.sqrt(np.maximum(eye[:, 2] ** 2 - height_m**2, 0.0))
+    coordinates = np.column_stack(
+        [
+            eye[:, 0] + np.arctan2(height_m, horizontal_m),
+            eye[:, 1] + at_m - along,
+            horizontal_m - across,
+        ]
     )
-    found = np.zeros((len(eye), len(axes)))
+    columns = np.zeros((len(eye), len(axes)))
     for number, part in enumerate(tool.parts[:3]):
         if part is not None:
-            found[:, axes.index(part.axis)] = (wanted[:, number] - part.zero_si) / part.factor
-    return found
+            columns[:, axes.index(part.axis)] = (
+                coordinates[:, number] - part.zero_si
+            ) / part.factor
+    return columns
 
 
 def kept_points(eye: FloatArray, tolerance_m: float) -> IntArray:
@@ -227,13 +239,13 @@ def kept_points(eye: FloatArray, tolerance_m: float) -> IntArray:
         inner = eye[low + 1 : high] - eye[low]
         scale = np.array([float(eye[low : high + 1, 2].max()), 1.0, 1.0])
         chord = (eye[high] - eye[low]) * scale
-        size = float(chord @ chord)
+        chord2 = float(chord @ chord)
         inner = inner * scale
-        share = inner @ chord / size if size > 0.0 else np.zeros(len(inner))
-        off = np.linalg.norm(inner - share[:, None] * chord, axis=1)
-        at = int(off.argmax())
-        if off[at] > tolerance_m:
-            middle = low + 1 + at
+        share = inner @ chord / chord2 if chord2 > 0.0 else np.zeros(len(inner))
+        distances = np.linalg.norm(inner - share[:, None] * chord, axis=1)
+        worst = int(distances.argmax())
+        if distances[worst] > tolerance_m:
+            middle = low + 1 + worst
             keep[middle] = True
             waiting += [(low, middle), (middle, high)]
     return np.flatnonzero(keep)

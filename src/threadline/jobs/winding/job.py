@@ -37,11 +37,11 @@ from threadline.winding.surface import Surface
 
 SUFFIX = ".wind.toml"
 _DISTANCES_M = (0.01, 0.015, 0.02, 0.03, 0.04, 0.055, 0.075)
-_FIRST = 4.0  # times the tolerance: chords of the eye that are tried first
+_FIRST_CHORDS = 4.0  # times the tolerance: chords of the eye that are tried first
 _HALVINGS = 6
-_JOIN = 0.5  # times the tolerance: chords of the eye in a join
+_JOIN_CHORDS = 0.5  # times the tolerance: chords of the eye in a join
 _NO_BETTER = 0.8  # times the error with steps twice as long
-_KEPT = 0.9  # of the tolerance
+_KEPT_SHARE = 0.9  # of the tolerance
 _CHECKED = 2  # circuits that are replayed
 _CHORD_M, _SAGITTA_M = 5e-4, 3e-7  # of the replay's check: on a large mandrel by the sagitta
 _TIED_M = 1e-3  # a tied place within this of the turn is the turn
@@ -49,7 +49,7 @@ _LEAST_USED = 0.3  # of the laid fibre: a move that draws less takes the time of
 _LEAST_S = 1e-4  # of a move
 _LAST_STEPS = 8.0  # in the last move before a rest
 _LINEAR = ("X", "Y", "Z")  # letters whose way is the length of a move
-_OFF = 0.05  # of a tension, as the winder thesis lets it vary
+_TENSION_SHARE = 0.05  # of a tension, as the winder thesis lets it vary
 
 
 def is_winding(path: Path) -> bool:
@@ -67,9 +67,9 @@ def own_product(path: Path) -> str:
     """
     winding = read_layers(path)
     laid = design(winding)
-    at = tied_place(winding, laid[0])
+    tied_m = tied_place(winding, laid[0])
     content = json.loads(winding.text)
-    content["fibre"] = {**content.get("fibre", {}), "tied": f"{1e3 * at!r} mm"}
+    content["fibre"] = {**content.get("fibre", {}), "tied": f"{1e3 * tied_m!r} mm"}
     text = json.dumps(content, ensure_ascii=True, sort_keys=True)
     product_of_text(text)
     return text
@@ -78,16 +78,16 @@ def own_product(path: Path) -> str:
 def tied_place(winding: Winding, first: Laid) -> float:
     """Return the place along the mandrel, m, where the fibre is tied: its first turn."""
     course = first.circuit.left.rows[-1:, 1]
-    at = float(first.wrap.surface.at(course)[0][0, 0])
+    turn_m = float(first.wrap.surface.at(course)[0][0, 0])
     tied = winding.product.tied
-    if tied is not None and abs(tied - at) > _TIED_M:
+    if tied is not None and abs(tied - turn_m) > _TIED_M:
         winding.refuse(
             first.layer,
             f"the fibre is tied at {1e3 * tied:.4g} mm, and the first layer begins where it turns "
-            f"back, at {1e3 * at:.4g} mm",
+            f"back, at {1e3 * turn_m:.4g} mm",
             "Leave [fibre] tied out.",
         )
-    return at
+    return turn_m
 
 
 def read_winding(path: str | Path, *, machine: Machine) -> Job:
@@ -125,20 +125,20 @@ def job_of(winding: Winding, laid: tuple[Laid, ...], machine: Machine) -> Job:
     path, tool = winding.path, _eye(machine)
     tied_place(winding, laid[0])
     laps: list[Laps] = []
-    said: list[str] = [*turning_at_once(machine, tool, path), *other_tensions(machine, winding)]
+    warnings: list[str] = [*turning_at_once(machine, tool, path), *other_tensions(machine, winding)]
     side = -1
-    for before, one in zip((None, *laid), laid, strict=False):
-        if before is not None:
-            way = join(before, one, side)
-            laps.append(_joined(winding, way, one, machine, tool))
-            side = way.side
-        made, words = _laps(winding, one, machine, tool, side)
-        laps.append(made)
-        said += words
+    for layer_before, layer_laid in zip((None, *laid), laid, strict=False):
+        if layer_before is not None:
+            join_path = join(layer_before, layer_laid, side)
+            laps.append(_join_laps(winding, join_path, layer_laid, machine, tool))
+            side = join_path.side
+        layer_laps, layer_warnings = _laps(winding, layer_laid, machine, tool, side)
+        laps.append(layer_laps)
+        warnings += layer_warnings
     linear = tuple(axis.kind == "linear" for axis in machine.axes.values())
-    laps = [on_grid(one, Grid(linear)) for one in laps]
-    order = _approach(tool), linear, _last_way(machine)
-    stream = Stream(moves_of, tuple(laps), str(path), machine.axis_names, order)
+    laps = [on_grid(layer_laid, Grid(linear)) for layer_laid in laps]
+    approach = _approach(tool), linear, _last_way(machine)
+    stream = Stream(moves_of, tuple(laps), str(path), machine.axis_names, approach)
     return Job(
         capped=_capped(tuple(laps), machine, winding),
         name=winding.product.name,
@@ -147,7 +147,7 @@ def job_of(winding: Winding, laid: tuple[Laid, ...], machine: Machine) -> Job:
         axes=machine.axis_names,
         start=(0.0,) * len(machine.axis_names),
         operations=OperationStream(stream),
-        warnings=tuple(said),
+        warnings=tuple(warnings),
     )
 
 
@@ -164,17 +164,17 @@ def _capped(laps: tuple[Laps, ...], machine: Machine, winding: Winding) -> tuple
         return ()
     counts = machine.counts_per_unit * float(machine.tick_clock.period_s)
     normal = machine.operator.normal_feed.si
-    faster, moves = 0, 0
-    for one in laps:
-        rates = np.abs(np.diff(one.points, axis=0)) * counts / one.seconds[:, None]
-        faster += int((rates.max(axis=1) > normal * (1.0 + 1e-9)).sum()) * one.count
-        moves += len(rates) * one.count
-    if not faster:
+    capped_moves, moves = 0, 0
+    for lap in laps:
+        rates = np.abs(np.diff(lap.points, axis=0)) * counts / lap.seconds[:, None]
+        capped_moves += int((rates.max(axis=1) > normal * (1.0 + 1e-9)).sum()) * lap.count
+        moves += len(rates) * lap.count
+    if not capped_moves:
         return ()
     speed = 1e3 * (winding.speed_m_s or USUAL_SPEED_M_S)
     return (
         f"{Place(str(winding.path))}: a fibre speed of {speed:g} mm/s is faster than the normal "
-        f"feed of {normal:g} count/tick in {faster} of {moves} moves, which caps it. Choose "
+        f"feed of {normal:g} count/tick in {capped_moves} of {moves} moves, which caps it. Choose "
         "another feed with --feed, or raise operator.normal_feed.",
     )
 
@@ -200,12 +200,12 @@ def _eye(machine: Machine) -> Tool:
     return tool
 
 
-def _joined(winding: Winding, way: Join, laid: Laid, machine: Machine, tool: Tool) -> Laps:
+def _join_laps(winding: Winding, join_path: Join, laid: Laid, machine: Machine, tool: Tool) -> Laps:
     """Return a join as positions of the axes; its rows are the only circuit."""
-    path = _with_envelope(winding, laid, way.course, machine, tool)
-    kept = kept_points(path.eye, _JOIN * winding.tolerance_m)
-    made = _timed(winding, laid, path, kept, machine, tool)
-    return replace(made, count=1, further=np.zeros(len(machine.axis_names)))
+    path = _with_envelope(winding, laid, join_path.course, machine, tool)
+    kept = kept_points(path.eye, _JOIN_CHORDS * winding.tolerance_m)
+    laps = _timed(winding, laid, path, kept, machine, tool)
+    return replace(laps, count=1, further=np.zeros(len(machine.axis_names)))
 
 
 def _laps(
@@ -215,26 +215,28 @@ def _laps(
     circuit = laid.circuit
     course = circuit.course(side)
     path = _with_envelope(winding, laid, course, machine, tool)
-    kept, off = _checked(winding, circuit, path, tool)
-    said = []
-    at = Place(str(winding.path), laid.layer.line)
+    kept, off_m = _checked(winding, circuit, path, tool)
+    warnings = []
+    place = Place(str(winding.path), laid.layer.line)
     if (hollow := bridged(laid)) is not None:
-        said.append(hollow)
-    if off > winding.tolerance_m:
-        why = "" if circuit.surface.convex else ": the surface below has hollows"
-        said.append(f"{at}: the fibre is laid up to {1e3 * off:.3g} mm beside its design{why}.")
+        warnings.append(hollow)
+    if off_m > winding.tolerance_m:
+        reason = "" if circuit.surface.convex else ": the surface below has hollows"
+        warnings.append(
+            f"{place}: the fibre is laid up to {1e3 * off_m:.3g} mm beside its design{reason}."
+        )
     take_up = winding.product.take_up
     if path.slack_m > 1e-6 and path.slack_m > (take_up or 0.0):
-        held = (
+        take_up_text = (
             "no [fibre] take_up is known"
             if take_up is None
             else (f"the take-up holds {1e3 * take_up:.3g} mm")
         )
-        said.append(
-            f"{at}: {1e3 * path.slack_m:.3g} mm of fibre go "
-            f"back through the eye at a turn, and {held}."
+        warnings.append(
+            f"{place}: {1e3 * path.slack_m:.3g} mm of fibre go "
+            f"back through the eye at a turn, and {take_up_text}."
         )
-    return _timed(winding, laid, path, kept, machine, tool), tuple(said)
+    return _timed(winding, laid, path, kept, machine, tool), tuple(warnings)
 
 
 def _timed(
@@ -260,7 +262,9 @@ def _with_envelope(
     surface = laid.wrap.surface
     if tool.across is None:
         _, across, up = tool.payout_m
-        return _cut(winding, laid, surface, course, math.hypot(across, up), round_=True)
+        return _path_on_envelope(
+            winding, laid, surface, course, math.hypot(across, up), round_=True
+        )
     least = (winding.product.clearance or 0.0) + tool.body_m
     if winding.envelope_m is not None:
         if winding.envelope_m < least:
@@ -270,10 +274,10 @@ def _with_envelope(
                 f"need {1e3 * least:.4g} mm",
                 "Give a larger [fibre] envelope, or leave it out.",
             )
-        return _cut(winding, laid, surface, course, winding.envelope_m, round_=False)
+        return _path_on_envelope(winding, laid, surface, course, winding.envelope_m, round_=False)
     best, least_s = None, math.inf
     for distance in _DISTANCES_M:
-        path = _cut(winding, laid, surface, course, least + distance, round_=False)
+        path = _path_on_envelope(winding, laid, surface, course, least + distance, round_=False)
         time_s = _least_time(path, machine, tool, winding)
         if best is None or time_s < least_s:
             best, least_s = path, time_s
@@ -281,7 +285,7 @@ def _with_envelope(
     return best
 
 
-def _cut(
+def _path_on_envelope(
     winding: Winding, laid: Laid, surface: Surface, course: FloatArray, far: float, *, round_: bool
 ) -> EyePath:
     try:
@@ -297,10 +301,10 @@ def _least_time(path: EyePath, machine: Machine, tool: Tool, winding: Winding) -
     """
     names = machine.axis_names
     places = positions(tool, names, path.eye, winding.product.at.si)
-    s = path.course[:, 0]
-    first = np.gradient(places, s, axis=0)
-    second = np.gradient(first, s, axis=0)
-    most = np.full(len(s), np.inf)
+    s_m = path.course[:, 0]
+    first = np.gradient(places, s_m, axis=0)
+    second = np.gradient(first, s_m, axis=0)
+    speed_limit = np.full(len(s_m), np.inf)
     for column, name in enumerate(names):
         axis = machine.axes[name]
         if axis.travel is not None:
@@ -308,14 +312,14 @@ def _least_time(path: EyePath, machine: Machine, tool: Tool, winding: Winding) -
             if places[:, column].min() < low or places[:, column].max() > high:
                 return math.inf
         with np.errstate(divide="ignore"):
-            most = np.minimum(most, axis.velocity.si / np.abs(first[:, column]))
+            speed_limit = np.minimum(speed_limit, axis.velocity.si / np.abs(first[:, column]))
             if axis.acceleration is not None:
-                bend = np.sqrt(axis.acceleration.si / np.abs(second[:, column]))
-                most = np.minimum(most, bend)
+                bend_limit = np.sqrt(axis.acceleration.si / np.abs(second[:, column]))
+                speed_limit = np.minimum(speed_limit, bend_limit)
     if winding.speed_m_s is not None:
-        most = np.minimum(most, winding.speed_m_s)
-    way = np.diff(s)
-    return float((way * 0.5 * (1.0 / most[1:] + 1.0 / most[:-1])).sum())
+        speed_limit = np.minimum(speed_limit, winding.speed_m_s)
+    steps_m = np.diff(s_m)
+    return float((steps_m * 0.5 * (1.0 / speed_limit[1:] + 1.0 / speed_limit[:-1])).sum())
 
 
 def _checked(
@@ -325,16 +329,16 @@ def _checked(
 
     With them comes the distance of the laid fibre from the design, m.
     """
-    tolerance = _FIRST * winding.tolerance_m
-    kept, off = kept_points(path.eye, tolerance), math.inf
+    tolerance = _FIRST_CHORDS * winding.tolerance_m
+    kept, off_m = kept_points(path.eye, tolerance), math.inf
     for _ in range(_HALVINGS):
-        before, off = off, laid_error(circuit, path, path.eye[kept], tool)
+        last_off, off_m = off_m, laid_error(circuit, path, path.eye[kept], tool)
         # A fibre over a hollow lies beside its design, however fine the steps are.
-        if off <= _KEPT * winding.tolerance_m or off > _NO_BETTER * before:
+        if off_m <= _KEPT_SHARE * winding.tolerance_m or off_m > _NO_BETTER * last_off:
             break
         tolerance *= 0.5
         kept = kept_points(path.eye, tolerance)
-    return kept, off
+    return kept, off_m
 
 
 def laid_error(circuit: Circuit, path: EyePath, eye: FloatArray, tool: Tool) -> float:
@@ -350,14 +354,14 @@ def laid_error(circuit: Circuit, path: EyePath, eye: FloatArray, tool: Tool) -> 
     for lap in range(1, _CHECKED):
         laps.append(eye[1:] + np.array([lap * circuit.advance, 0.0, 0.0]))
     chain = np.vstack(laps)
-    way = np.abs(np.diff(chain, axis=0))
-    size = np.maximum(way[:, 0] * chain[1:, 2], np.maximum(way[:, 1], way[:, 2]))
+    moves = np.abs(np.diff(chain, axis=0))
+    move_m = np.maximum(moves[:, 0] * chain[1:, 2], np.maximum(moves[:, 1], moves[:, 2]))
     radius_m = float(surface.r[:, 0].max())
     chord_m = max(_CHORD_M, math.sqrt(8.0 * _SAGITTA_M * radius_m))
-    count = np.maximum(np.ceil(size / chord_m), 1.0).astype(np.int64)
+    count = np.maximum(np.ceil(move_m / chord_m), 1.0).astype(np.int64)
     row = np.repeat(np.arange(len(count)), count)
-    within = (np.arange(len(row)) - np.repeat(np.cumsum(count) - count, count) + 1) / count[row]
-    points = np.vstack([chain[:1], chain[row] + within[:, None] * (chain[row + 1] - chain[row])])
+    share = (np.arange(len(row)) - np.repeat(np.cumsum(count) - count, count) + 1) / count[row]
+    points = np.vstack([chain[:1], chain[row] + share[:, None] * (chain[row + 1] - chain[row])])
     columns = np.zeros((len(points), 6))
     columns[:, :3] = points
     plain = Tool(
@@ -368,21 +372,23 @@ def laid_error(circuit: Circuit, path: EyePath, eye: FloatArray, tool: Tool) -> 
     known = np.isfinite(fibre.u)
     if not known.any():
         return math.inf
-    return _apart(circuit, path.course, fibre.u[known], -fibre.angle[known])
+    return _largest_distance(circuit, path.course, fibre.u[known], -fibre.angle[known])
 
 
-def _apart(circuit: Circuit, course: FloatArray, u: FloatArray, angle: FloatArray) -> float:
+def _largest_distance(
+    circuit: Circuit, course: FloatArray, u: FloatArray, angle: FloatArray
+) -> float:
     """Return the largest distance of places, in the order of the course, from the course."""
     laps = [course]
     length = float(course[-1, 0])
     for lap in range(1, _CHECKED + 1):
         laps.append(course[1:] + np.array([lap * length, 0.0, lap * circuit.advance, 0.0]))
-    whole = np.vstack(laps)
+    chain = np.vstack(laps)
     # The angle round grows steadily: it names the place on the course, up to whole turns.
-    angle = angle - 2.0 * math.pi * round(float(angle[0] - whole[0, 2]) / (2.0 * math.pi))
-    at = np.interp(angle, whole[:, 2], whole[:, 1])
-    winding = np.interp(angle, whole[:, 2], whole[:, 3])
-    return float((np.abs(u - at) * np.sin(winding)).max())
+    angle = angle - 2.0 * math.pi * round(float(angle[0] - chain[0, 2]) / (2.0 * math.pi))
+    course_u = np.interp(angle, chain[:, 2], chain[:, 1])
+    winding = np.interp(angle, chain[:, 2], chain[:, 3])
+    return float((np.abs(u - course_u) * np.sin(winding)).max())
 
 
 def _approach(tool: Tool) -> tuple[str, ...]:
@@ -422,34 +428,34 @@ def other_tensions(machine: Machine, winding: Winding) -> tuple[str, ...]:
         return ()
     if spool.most_torque is not None:
         return _beyond_the_arm(spool, winding)
-    own = spool.tension_n
-    found = []
+    spool_n = spool.tension_n
+    warnings = []
     for layer in winding.layers:
         tension_n = layer.tension_n
-        if tension_n is None or abs(own - tension_n) <= _OFF * tension_n:
+        if tension_n is None or abs(spool_n - tension_n) <= _TENSION_SHARE * tension_n:
             continue
         torque = spool.torque_for(tension_n)
-        found.append(
+        warnings.append(
             f"{Place(str(winding.path), layer.line)}: layer {layer.number} asks for a tension of "
-            f"{tension_n:.3g} N, and the spool of {machine.name} gives {own:.3g} N: set its "
+            f"{tension_n:.3g} N, and the spool of {machine.name} gives {spool_n:.3g} N: set its "
             f"brake to about {torque:.3g} N m for this layer."
         )
-    return tuple(found)
+    return tuple(warnings)
 
 
 def _beyond_the_arm(spool: Spool, winding: Winding) -> tuple[str, ...]:
     """Return a warning for each layer at whose tension the spring arm lies at a stop."""
     low, high = spool.floats_n
-    found = []
+    warnings = []
     for layer in winding.layers:
         tension_n = layer.tension_n
         if tension_n is None or low < tension_n < high:
             continue
         stop = "lower" if tension_n <= low else "upper"
-        found.append(
+        warnings.append(
             f"{Place(str(winding.path), layer.line)}: layer {layer.number} asks for a tension of "
             f"{tension_n:.3g} N, at which the spring arm lies at its {stop} stop: it takes up "
             f"no change. It is free from {low:.3g} to {high:.3g} N: change spool.arm.preload, "
             "or the tension."
         )
-    return tuple(found)
+    return tuple(warnings)

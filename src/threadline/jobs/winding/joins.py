@@ -63,75 +63,78 @@ def join(before: Laid, after: Laid, side: int) -> Join:
     """
     friction = after.wrap.friction
     with placed(Place(str(after.wrap.winding.path), after.layer.line)):
-        found = _joined(before, after, side, friction)
-    if found is not None:
-        return found
+        path = _joined_at(before, after, side, friction)
+    if path is not None:
+        return path
     low, high = friction, 2.0 * friction
-    while high < _MOST_RATIO and _joined(before, after, side, high) is None:
+    while high < _MOST_RATIO and _joined_at(before, after, side, high) is None:
         low, high = high, 2.0 * high
     for _ in range(_ROUGH if high < _MOST_RATIO else 0):
         middle = 0.5 * (low + high)
-        low, high = (low, middle) if _joined(before, after, side, middle) else (middle, high)
-    enough = f"A friction of {high / MARGIN:.2g} would do. " if high < _MOST_RATIO else ""
+        low, high = (low, middle) if _joined_at(before, after, side, middle) else (middle, high)
+    enough_text = f"A friction of {high / MARGIN:.2g} would do. " if high < _MOST_RATIO else ""
     raise JobError(
-        f"the fibre cannot change from {_deg(before)} to {_deg(after)} with a friction ratio of "
+        f"the fibre cannot change from {_angle_words(before)} to {_angle_words(after)} with a "
+        "friction ratio of "
         f"{friction:.3g} on this mandrel",
         place=Place(str(after.wrap.winding.path), after.layer.line),
-        remedy=f"{enough}Put a layer with an angle between them, or wind them as two jobs.",
+        remedy=f"{enough_text}Put a layer with an angle between them, or wind them as two jobs.",
     )
 
 
-def _joined(before: Laid, after: Laid, side: int, friction: float) -> Join | None:
+def _joined_at(before: Laid, after: Laid, side: int, friction: float) -> Join | None:
     """Return the join of two layers at a friction ratio; None if the angle cannot change."""
     surface = after.wrap.surface
     name = f"the join to layer {after.layer.number}: "
-    from_, to = _moved(before, surface), after.wrap.sites
-    constant, wanted = before.circuit.constant_m, after.circuit.constant_m
+    sites_before, sites_after = _sites_on(before, surface), after.wrap.sites
+    constant, wanted_constant = before.circuit.constant_m, after.circuit.constant_m
     parts: list[FloatArray] = []
-    at = from_[(side + 1) // 2]
-    turned = before.circuit.right if side > 0 else before.circuit.left
-    ratio = 0.0 if at.dome else turned.ratio
-    _put(parts, _inwards(turn_of(surface, at, constant, ratio, name)), side)
-    most = 0.0
+    site = sites_before[(side + 1) // 2]
+    last_turn = before.circuit.right if side > 0 else before.circuit.left
+    ratio = 0.0 if site.dome else last_turn.ratio
+    _append_rows(parts, _inwards(turn_of(surface, site, constant, ratio, name)), side)
+    largest_ratio = 0.0
     for _ in range(_MOST_PASSES):
         side = -side
-        end = to[(side + 1) // 2]
-        rows, ratio, reached = _changed(surface, at, end, (constant, wanted), friction)
+        end = sites_after[(side + 1) // 2]
+        rows, ratio, reached = _rows_between(
+            surface, site, end, (constant, wanted_constant), friction
+        )
         if rows is None:
             break
-        constant, most = reached, max(most, abs(ratio))
-        _put(parts, rows, -side)
-        if abs(constant - wanted) < _SAME_M:
-            last = after.circuit.right if side > 0 else after.circuit.left
-            _put(parts, last.rows, -side)
-            return Join(surface, np.vstack(parts), side, most)
+        constant, largest_ratio = reached, max(largest_ratio, abs(ratio))
+        _append_rows(parts, rows, -side)
+        if abs(constant - wanted_constant) < _SAME_M:
+            first_turn = after.circuit.right if side > 0 else after.circuit.left
+            _append_rows(parts, first_turn.rows, -side)
+            return Join(surface, np.vstack(parts), side, largest_ratio)
         if not end.dome:
-            at = from_[(side + 1) // 2]
-            if not at.dome:
+            site = sites_before[(side + 1) // 2]
+            if not site.dome:
                 break
-            between = traced(surface, (end.joint, constant), 0.0, side, at.joint)
+            between = traced(surface, (end.joint, constant), 0.0, side, site.joint)
             if between is None:
                 break
-            _put(parts, between, -side)
-            end = at
+            _append_rows(parts, between, -side)
+            end = site
         turn = turn_of(surface, end, constant, 0.0, name)
-        _put(parts, turn.rows, -side)
-        _put(parts, _inwards(turn), side)
-        at = end
+        _append_rows(parts, turn.rows, -side)
+        _append_rows(parts, _inwards(turn), side)
+        site = end
     return None
 
 
-def _deg(laid: Laid) -> str:
+def _angle_words(laid: Laid) -> str:
     return f"{np.degrees(laid.circuit.angle):.1f} deg"
 
 
-def _moved(before: Laid, surface: Surface) -> tuple[Site, Site]:
+def _sites_on(before: Laid, surface: Surface) -> tuple[Site, Site]:
     """Return the sites of a layer on a later surface."""
-    made = []
+    sites = []
     for site in before.wrap.sites:
         x = before.wrap.surface.at(np.array([site.joint]))[0][:, 0]
-        made.append(Site(site.side, float(surface.place_of(x)[0]), site.dome))
-    return made[0], made[1]
+        sites.append(Site(site.side, float(surface.place_of(x)[0]), site.dome))
+    return sites[0], sites[1]
 
 
 def _inwards(turn: Turn) -> FloatArray:
@@ -142,7 +145,7 @@ def _inwards(turn: Turn) -> FloatArray:
     return rows
 
 
-def _put(parts: list[FloatArray], rows: FloatArray, side: int) -> None:
+def _append_rows(parts: list[FloatArray], rows: FloatArray, side: int) -> None:
     """Add rows of a fibre that runs away from the end ``side``; their angle is in its direction."""
     rows = rows.copy()
     if side > 0:  # away from the right end, to the left
@@ -156,12 +159,12 @@ def _put(parts: list[FloatArray], rows: FloatArray, side: int) -> None:
         parts.append(rows)
 
 
-def _changed(
+def _rows_between(
     surface: Surface, begin: Site, end: Site, constants: tuple[float, float], friction: float
 ) -> tuple[FloatArray | None, float, float]:
     """Return rows between two joints, the friction ratio and the Clairaut constant at the end."""
 
-    def tried(ratio: float) -> tuple[FloatArray | None, float]:
+    def traced_at(ratio: float) -> tuple[FloatArray | None, float]:
         rows = traced(surface, (begin.joint, constants[0]), ratio, end.side, end.joint)
         if rows is None:
             return None, np.inf
@@ -170,18 +173,18 @@ def _changed(
 
     wanted = constants[1]
     low, high = -friction, friction
-    rows, found = tried(low)
-    if found >= wanted:
-        return rows, low, found
-    rows, found = tried(high)
-    if found <= wanted:
-        return rows, high, found
+    rows, reached = traced_at(low)
+    if reached >= wanted:
+        return rows, low, reached
+    rows, reached = traced_at(high)
+    if reached <= wanted:
+        return rows, high, reached
     for _ in range(_HALVINGS):
         middle = 0.5 * (low + high)
-        rows, found = tried(middle)
-        if found > wanted:
+        rows, reached = traced_at(middle)
+        if reached > wanted:
             high = middle
         else:
             low = middle
-    rows, found = tried(low)
-    return rows, low, found
+    rows, reached = traced_at(low)
+    return rows, low, reached

@@ -67,17 +67,17 @@ def _nominal_s(left_s: FloatArray) -> FloatArray:
     Over the last ``_STOP_S`` the speed falls as half a cosine: its share of the full speed is
     ``(1 - cos(pi t / T)) / 2`` at the time t before the rest.
     """
-    slow = np.minimum(left_s, _STOP_S)
+    slow_s = np.minimum(left_s, _STOP_S)
     turn = math.pi / _STOP_S
-    return np.asarray(0.5 * (slow - np.sin(turn * slow) / turn) + (left_s - slow))
+    return np.asarray(0.5 * (slow_s - np.sin(turn * slow_s) / turn) + (left_s - slow_s))
 
 
 def _left_s(nominal_s: FloatArray) -> FloatArray:
     """Return the time to a rest: the inverse of ``_nominal_s``."""
     grid = np.linspace(0.0, _STOP_S, _STOP_GRID)
-    own = _nominal_s(grid)
-    slow = np.interp(nominal_s, own, grid)
-    return np.asarray(slow + np.maximum(nominal_s - own[-1], 0.0))
+    nominal_grid_s = _nominal_s(grid)
+    slow_s = np.interp(nominal_s, nominal_grid_s, grid)
+    return np.asarray(slow_s + np.maximum(nominal_s - nominal_grid_s[-1], 0.0))
 
 
 def _to_rest(
@@ -90,21 +90,21 @@ def _to_rest(
     axis at least: Marlin skips moves of fewer than six steps, and makes up for them at the speed of
     the next move.
     """
-    left = float(seconds.sum()) - np.concatenate([[0.0], np.cumsum(seconds)])
-    left[-1] = 0.0
-    between = _nominal_s(np.asarray(_STEP_S * np.arange(1.0, round(_STOP_S / _STEP_S))))
-    between = between[between < left[0]]
+    left_s = float(seconds.sum()) - np.concatenate([[0.0], np.cumsum(seconds)])
+    left_s[-1] = 0.0
+    between_s = _nominal_s(np.asarray(_STEP_S * np.arange(1.0, round(_STOP_S / _STEP_S))))
+    between_s = between_s[between_s < left_s[0]]
     # A new point beside an old one would only make a short word.
-    near = np.abs(_left_s(between)[:, None] - _left_s(left)[None]).min(axis=1)
-    every = np.concatenate([left, between[near > 0.5 * _STEP_S]])
-    order = np.argsort(-every, kind="stable")
-    places = np.column_stack([np.interp(-every, -left, column) for column in units.T])
-    found = _COARSE * np.rint(places / _COARSE).astype(np.int64)
-    found[: len(left)] = units
-    found, rest_s = found[order], _left_s(every[order])
-    kept = (np.abs(found - found[-1]) >= least).any(axis=1)
-    kept[-1] = True
-    return found[kept], -np.diff(rest_s[kept])
+    apart_s = np.abs(_left_s(between_s)[:, None] - _left_s(left_s)[None]).min(axis=1)
+    all_left_s = np.concatenate([left_s, between_s[apart_s > 0.5 * _STEP_S]])
+    order = np.argsort(-all_left_s, kind="stable")
+    places = np.column_stack([np.interp(-all_left_s, -left_s, column) for column in units.T])
+    points = _COARSE * np.rint(places / _COARSE).astype(np.int64)
+    points[: len(left_s)] = units
+    points, rest_s = points[order], _left_s(all_left_s[order])
+    is_kept = (np.abs(points - points[-1]) >= least).any(axis=1)
+    is_kept[-1] = True
+    return points[is_kept], -np.diff(rest_s[is_kept])
 
 
 def _feeds(seconds: FloatArray) -> tuple[tuple[int, Feed | None], ...]:
@@ -128,8 +128,8 @@ class Grid:
 
     def units(self, places: FloatArray) -> IntArray:
         """Return whole units of (..., axes) positions, m or rad."""
-        given = np.where(self._linear, 1e3 * places, np.degrees(places))
-        return np.rint(given * _UNITS).astype(np.int64)
+        written = np.where(self._linear, 1e3 * places, np.degrees(places))
+        return np.rint(written * _UNITS).astype(np.int64)
 
     def places(self, units: IntArray) -> FloatArray:
         """Return positions, m or rad, as a reader computes them from the decimals."""
@@ -160,40 +160,42 @@ def moves_of(
     approach, grid = order[0], Grid(order[1])
     least = grid.units(np.array(order[2])).astype(float)
     first = grid.units(laps[0].points[0])
-    at = np.zeros(len(axes), dtype=np.int64)
-    turn = [index for index, name in enumerate(axes) if name not in approach]
+    position = np.zeros(len(axes), dtype=np.int64)
+    turn_columns = [index for index, name in enumerate(axes) if name not in approach]
     for name in approach:
         column = axes.index(name)
         if first[column]:
-            at[column] = first[column]
+            position[column] = first[column]
             feed = Feed(
                 FeedMode.INVERSE_TIME, _APPROACH_M_S / abs(float(laps[0].points[0, column]))
             )
-            yield Move(tuple(grid.places(at).tolist()), feed, Source(file, laps[0].line))
+            yield Move(tuple(grid.places(position).tolist()), feed, Source(file, laps[0].line))
             # A plan would round the corners, and the fibre would start beside its place.
             yield Dwell(_REST_S, Source(file, laps[0].line))
     number = 0
-    placed, apart = _placed(laps, grid, turn, at)
-    for k, (one, units) in enumerate(zip(laps, placed, strict=True)):
-        further = grid.units(one.further)
-        if apart[k]:
-            feed = Feed(FeedMode.INVERSE_TIME, 1.0 / float(one.seconds[0]))
-            yield Move(tuple(grid.places(units[0]).tolist()), feed, Source(file, one.line))
-        for lap in range(one.count):
+    placed_units, rests_before = _placed(laps, grid, turn_columns, position)
+    for k, (laps_of_layer, units) in enumerate(zip(laps, placed_units, strict=True)):
+        further = grid.units(laps_of_layer.further)
+        if rests_before[k]:
+            feed = Feed(FeedMode.INVERSE_TIME, 1.0 / float(laps_of_layer.seconds[0]))
+            yield Move(
+                tuple(grid.places(units[0]).tolist()), feed, Source(file, laps_of_layer.line)
+            )
+        for lap in range(laps_of_layer.count):
             number += 1
-            points, seconds = units, one.seconds
-            if lap == 0 and (k == 0 or apart[k]):
+            points, seconds = units, laps_of_layer.seconds
+            if lap == 0 and (k == 0 or rests_before[k]):
                 seconds = _from_rest(seconds)
-            if lap == one.count - 1 and apart[k + 1]:
+            if lap == laps_of_layer.count - 1 and rests_before[k + 1]:
                 points, seconds = _to_rest(points, seconds, least)
             count = len(seconds)
             yield MoveRun(
                 targets=grid.places(points[1:] + lap * further),
-                line=np.full(count, one.line, dtype=np.int64),
+                line=np.full(count, laps_of_layer.line, dtype=np.int64),
                 feeds=_feeds(seconds),
                 file=file,
                 passes=(number,),
-                columns=_tagged(one.tension_n, count),
+                columns=_tagged(laps_of_layer.tension_n, count),
             )
 
 
@@ -207,18 +209,18 @@ def _tagged(tension_n: float | None, count: int) -> dict[str, FloatArray]:
 
 
 def _placed(
-    laps: tuple[Laps, ...], grid: Grid, turn: Sequence[int], at: IntArray
+    laps: tuple[Laps, ...], grid: Grid, turn_columns: Sequence[int], position: IntArray
 ) -> tuple[list[IntArray], list[bool]]:
     """Return the points of every circuit in units, and where the mandrel rests before it.
 
     The mandrel goes on from where it is; between two surfaces the eye moves outwards alone. One
     more entry stands for the end.
     """
-    placed, apart = [], []
-    for one in laps:
-        units = grid.units(one.points)
-        units[:, turn] += at[turn] - units[0, turn]
-        apart.append(bool(np.abs(units[0] - at).max() > _COARSE))
+    placed, rests_before = [], []
+    for laps_of_layer in laps:
+        units = grid.units(laps_of_layer.points)
+        units[:, turn_columns] += position[turn_columns] - units[0, turn_columns]
+        rests_before.append(bool(np.abs(units[0] - position).max() > _COARSE))
         placed.append(units)
-        at = units[-1] + (one.count - 1) * grid.units(one.further)
-    return placed, [*apart, True]
+        position = units[-1] + (laps_of_layer.count - 1) * grid.units(laps_of_layer.further)
+    return placed, [*rests_before, True]

@@ -180,8 +180,8 @@ def tensions_in(text: str) -> tuple[float, ...]:
     rows = content.get("layer")
     if not isinstance(rows, list) or not all(isinstance(row, dict) for row in rows):
         return ()
-    found = _LayerReader("product", "").tensions(rows, content.get("fibre", {}))
-    return tuple(tension for tension in found if tension is not None)
+    tensions = _LayerReader("product", "").tensions(rows, content.get("fibre", {}))
+    return tuple(tension for tension in tensions if tension is not None)
 
 
 class _LayerReader(ProductReader):
@@ -218,14 +218,14 @@ class _LayerReader(ProductReader):
             layers.append(self._layer(row, product, known, tension))
         self.index = -1
         self.table = "fibre"
-        found: dict[str, float | None] = {}
+        numbers: dict[str, float | None] = {}
         for key, unit in (("envelope", "m"), ("speed", "m/s"), ("tolerance", "m")):
-            found[key] = self.number(fibre, key, unit, None).si if key in fibre else None
-            if key in fibre and not (found[key] or 0.0) > 0.0:
+            numbers[key] = self.number(fibre, key, unit, None).si if key in fibre else None
+            if key in fibre and not (numbers[key] or 0.0) > 0.0:
                 self.refuse(key, f"{key} must be above 0", 'Like "30 mm", "200 mm/s".')
-        envelope = found["envelope"]
+        envelope = numbers["envelope"]
         if envelope is not None and not _ENVELOPES_M[0] <= envelope <= _ENVELOPES_M[1]:
-            low, high = (1e3 * one for one in _ENVELOPES_M)
+            low, high = (1e3 * limit_m for limit_m in _ENVELOPES_M)
             self.refuse(
                 "envelope",
                 f"envelope is {1e3 * envelope:.4g} mm; it must be from {low:g} to {high:g} mm",
@@ -234,8 +234,8 @@ class _LayerReader(ProductReader):
             )  # fmt: skip
         hour = self._hour(content, layers)
         return Winding(
-            path, text, product, tuple(layers), found["envelope"], found["speed"],
-            found["tolerance"] or 2e-5, hour,
+            path, text, product, tuple(layers), numbers["envelope"], numbers["speed"],
+            numbers["tolerance"] or 2e-5, hour,
         )  # fmt: skip
 
     def _hour(self, content: Mapping[str, Any], layers: Sequence[Layer]) -> HourlyRate | None:
@@ -250,7 +250,9 @@ class _LayerReader(ProductReader):
                 )  # fmt: skip
             rate = HourlyRate(float(match[1]), match[2])
         composites = (layer.band.composite for layer in layers)
-        currencies = {price.currency for one in composites if one for price in one.prices}
+        currencies = {
+            price.currency for composite in composites if composite for price in composite.prices
+        }
         if rate is not None:
             currencies.add(rate.currency)
         if len(currencies) > 1:
@@ -285,16 +287,16 @@ class _LayerReader(ProductReader):
             )  # fmt: skip
         if "taper" in fibre and first is None:
             self.refuse("taper", "a taper needs the tension of the first layer", 'tension = "8 N"')
-        found: list[float | None] = []
+        tensions: list[float | None] = []
         self.table = "layer"
         for self.index, row in enumerate(rows):
-            own = self.number(row, "tension", "N", None).si if "tension" in row else None
-            if own is not None and not own > 0.0:
+            own_n = self.number(row, "tension", "N", None).si if "tension" in row else None
+            if own_n is not None and not own_n > 0.0:
                 self.refuse("tension", "tension must be above 0", 'Like tension = "8 N".')
             tapered = None if first is None else first * (1.0 - taper) ** self.index
-            found.append(tapered if own is None else own)
+            tensions.append(tapered if own_n is None else own_n)
         self.index = -1
-        return found
+        return tensions
 
     def _layer(
         self, row: Mapping[str, Any], product: Product, known: Mapping[str, Material],
@@ -316,11 +318,12 @@ class _LayerReader(ProductReader):
                 "turn and angle say the same twice",
                 "Keep turn on a mandrel with domes, else angle.",
             )
-        most = widest(product.surface)[0]
-        if turn is not None and not 0.0 < turn < most:
+        largest_m = widest(product.surface)[0]
+        if turn is not None and not 0.0 < turn < largest_m:
             self.refuse(
                 "turn", f"a turn at {1e3 * turn:.4g} mm: the mandrel's largest radius is "
-                f"{1e3 * most:.4g} mm", "Write the radius at which the band's centre turns back.",
+                f"{1e3 * largest_m:.4g} mm",
+                "Write the radius at which the band's centre turns back.",
             )  # fmt: skip
         if angle is not None and not _LEAST_ANGLE <= angle < 0.5 * math.pi:
             self.refuse(

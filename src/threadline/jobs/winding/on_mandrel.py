@@ -21,7 +21,7 @@ from threadline.jobs.winding.layers import GENTLE, MARGIN, Layer, Winding
 from threadline.winding.surface import Surface
 
 _TURN = 2.0 * math.pi
-_BETWEEN = 1025  # places between begin and end
+_PLACES_BETWEEN = 1025  # places between begin and end
 _HOOP_ROWS = 100
 _HALVINGS = 12  # of the range of friction ratios of a turn
 _NEAR_BANDS = 3.0  # band widths from a turn within which a boss or pins hold a dwell
@@ -76,30 +76,34 @@ class Wrap:
         """
         constant = self.base.constant_m if constant_m is None else constant_m
         left, right = (
-            -ratio if site.dome else self._open_ratio(site, own, constant)
-            for site, own in zip(self.sites, self.turning, strict=True)
+            -ratio if site.dome else self._open_ratio(site, turning_ratio, constant)
+            for site, turning_ratio in zip(self.sites, self.turning, strict=True)
         )
-        made = circuit_of(self.surface, self.sites, constant, (left, right), self.name)
+        circuit = circuit_of(self.surface, self.sites, constant, (left, right), self.name)
         if dwell == 0.0:
-            return made
-        can = [self.can_dwell(made, site) for site in self.sites]
-        share = dwell / sum(can)
+            return circuit
+        can_dwell = [self.can_dwell(circuit, site) for site in self.sites]
+        share = dwell / sum(can_dwell)
         return replace(
-            made,
-            left=replace(made.left, dwell=share if can[0] else 0.0),
-            right=replace(made.right, dwell=share if can[1] else 0.0),
+            circuit,
+            left=replace(circuit.left, dwell=share if can_dwell[0] else 0.0),
+            right=replace(circuit.right, dwell=share if can_dwell[1] else 0.0),
         )
 
-    def _open_ratio(self, site: Site, own: float, constant_m: float) -> float:
+    def _open_ratio(self, site: Site, turning_ratio: float, constant_m: float) -> float:
         """Return the ratio that turns a fibre of another angle as far beyond the joint as ``base``.
 
         On a cylinder of radius R the turn takes ``(R / sin(a) - R) / ratio``.
         """
         if constant_m == self.base.constant_m:
-            return own
+            return turning_ratio
         radius = float(self.surface.at(np.array([site.joint]))[1][0, 0])
-        ways = [radius / one - 1.0 for one in (constant_m, self.base.constant_m)]
-        return min(own * ways[0] / ways[1], self.friction) if ways[1] > 0.0 else own
+        excesses = [radius / constant - 1.0 for constant in (constant_m, self.base.constant_m)]
+        return (
+            min(turning_ratio * excesses[0] / excesses[1], self.friction)
+            if excesses[1] > 0.0
+            else turning_ratio
+        )
 
     def slip_at(self, circuit: Circuit, site: Site) -> float:
         """Return the slip tendency of a dwell on the parallel where a circuit turns."""
@@ -112,13 +116,13 @@ class Wrap:
         if self.slip_at(circuit, site) <= self.friction:
             return True
         turn = circuit.right if site.side > 0 else circuit.left
-        at = float(self.surface.at(turn.rows[-1:, 1])[0][0, 0])
-        near = _NEAR_BANDS * self.width_m
+        turn_m = float(self.surface.at(turn.rows[-1:, 1])[0][0, 0])
+        near_m = _NEAR_BANDS * self.width_m
         return any(
             ring.name.startswith("the boss") or ring.name.startswith("the pins")
             for ring in self.winding.product.rings
-            if min(abs(ring.begin_m - at), abs(ring.end_m - at)) <= near
-            or ring.begin_m <= at <= ring.end_m
+            if min(abs(ring.begin_m - turn_m), abs(ring.end_m - turn_m)) <= near_m
+            or ring.begin_m <= turn_m <= ring.end_m
         )
 
 
@@ -132,50 +136,59 @@ def wrap_of(winding: Winding, layer: Layer, surface: Surface) -> Wrap:
     """
     product, width = winding.product, winding.product.width.si
     level = LEVEL if surface is product.surface else ROUGH_LEVEL
-    most, first, last = widest(surface, level)
+    largest_m, first, last = widest(surface, level)
     if layer.kind == "hoop":
         return _hoops(winding, layer, surface)
-    begin, end = _full(winding, layer)
+    begin, end = _full_angle_ends(winding, layer)
     if surface is not product.surface and begin is not None and end is not None:
-        most, first, last = _between(surface, (begin, end), (most, first, last))
-    bottoms = [_least(surface, first, -1), _least(surface, last, 1)]
+        largest_m, first, last = _widest_between(surface, (begin, end), (largest_m, first, last))
+    least_radii_m = [_least_radius(surface, first, -1), _least_radius(surface, last, 1)]
     rims = [_rim(surface, side, width, winding.friction) for side in (-1, 1)]
-    narrow = [low < 0.95 * most for low in bottoms]
-    domes_m = [rim.band_m for rim, one in zip(rims, narrow, strict=True) if one and rim.steep]
+    is_narrow = [least_radius_m < 0.95 * largest_m for least_radius_m in least_radii_m]
+    domes_m = [
+        rim.band_m for rim, narrows in zip(rims, is_narrow, strict=True) if narrows and rim.steep
+    ]
     if layer.turn_m is not None:
         constant = layer.turn_m
     elif layer.angle is not None:
-        constant = most * math.sin(layer.angle)
-    elif domes_m and len(domes_m) == sum(narrow):
+        constant = largest_m * math.sin(layer.angle)
+    elif domes_m and len(domes_m) == sum(is_narrow):
         constant = max(domes_m)
     else:
         winding.refuse(layer, "the mandrel has no dome that gives an angle", 'angle = "55 deg"')
-    turned = [rim for rim, one in zip(rims, narrow, strict=True) if one and rim.end_m < constant]
-    least = max((rim.band_m for rim in turned), default=0.0)
-    if constant >= most * math.cos(math.radians(0.5)):
+    turned_rims = [
+        rim
+        for rim, narrows in zip(rims, is_narrow, strict=True)
+        if narrows and rim.end_m < constant
+    ]
+    least = max((rim.band_m for rim in turned_rims), default=0.0)
+    if constant >= largest_m * math.cos(math.radians(0.5)):
         winding.refuse(
             layer, f"a turn at {1e3 * constant:.4g} mm leaves no angle on a mandrel of "
-            f"{1e3 * most:.4g} mm", "Give a smaller turn, or a hoop layer.",
+            f"{1e3 * largest_m:.4g} mm", "Give a smaller turn, or a hoop layer.",
         )  # fmt: skip
-    wanted = max([min(domes_m, default=0.0), *(rim.band_m for rim in turned)])
-    if constant < wanted - 1e-9:
+    wanted_m = max([min(domes_m, default=0.0), *(rim.band_m for rim in turned_rims)])
+    if constant < wanted_m - 1e-9:
         winding.refuse(
             layer,
             f"a turn at {1e3 * constant:.4g} mm: the opening and half a band are "
-            f"{1e3 * wanted:.4g} mm",
+            f"{1e3 * wanted_m:.4g} mm",
             "Give a larger turn or angle, or a narrower band.",
         )
     sites = []
-    for side, low, joint, at in ((-1, bottoms[0], first, begin), (1, bottoms[1], last, end)):
-        dome = low < constant
-        if not dome and at is None:
+    for side, least_radius_m, joint, place_m in (
+        (-1, least_radii_m[0], first, begin),
+        (1, least_radii_m[1], last, end),
+    ):
+        dome = least_radius_m < constant
+        if not dome and place_m is None:
             winding.refuse(
                 layer,
                 f"the fibre turns by friction at the {'left' if side < 0 else 'right'} end, and "
                 "nothing says from where on",
                 "Give [coverage] begin and end, or begin and end of the layer.",
             )
-        place = joint if dome else float(surface.place_of(np.array([at]))[0])
+        place = joint if dome else float(surface.place_of(np.array([place_m]))[0])
         sites.append(Site(side, place, dome))
     # On a cone the widest place lies beyond the covered length.
     if sites[0].dome and not sites[1].dome:
@@ -208,10 +221,10 @@ def gentle_ratio(
     """
     if site.dome:
         return 0.0
-    end, half = (surface.length_m if site.side > 0 else 0.0), 0.5 * width_m
+    end, half_band_m = (surface.length_m if site.side > 0 else 0.0), 0.5 * width_m
 
     def fits(ratio: float) -> bool:
-        return turns(surface, site, constant_m, ratio, end - site.side * half)
+        return turns(surface, site, constant_m, ratio, end - site.side * half_band_m)
 
     low, high = GENTLE / MARGIN * friction, friction
     if fits(low):
@@ -226,16 +239,16 @@ def gentle_ratio(
 
 def _hoops(winding: Winding, layer: Layer, surface: Surface) -> Wrap:
     """Return a hoop layer: one band further on in every turn, where the mandrel is widest."""
-    most, first, last = widest(surface, ROUGH_LEVEL)
+    largest_m, first, last = widest(surface, ROUGH_LEVEL)
     width, friction = winding.product.width.si, winding.friction
     covered = winding.product.covered or (-math.inf, math.inf)
     ends = surface.at(np.array([first, last]))[0][:, 0]
     begin = max(layer.begin_m if layer.begin_m is not None else covered[0], float(ends[0]))
     end = min(layer.end_m if layer.end_m is not None else covered[1], float(ends[1]))
-    angle = math.atan(_TURN * most / width)
+    angle = math.atan(_TURN * largest_m / width)
     # The turn needs a little room, on the cylinder as well.
-    room = 1.5 * most / friction * (1.0 / math.sin(angle) - 1.0)
-    begin, end = begin + room, end - room
+    room_m = 1.5 * largest_m / friction * (1.0 / math.sin(angle) - 1.0)
+    begin, end = begin + room_m, end - room_m
     if not end - begin > width:
         winding.refuse(
             layer, "no cylinder is left for a hoop layer",
@@ -243,8 +256,8 @@ def _hoops(winding: Winding, layer: Layer, surface: Surface) -> Wrap:
         )  # fmt: skip
     places = surface.place_of(np.array([begin, end]))
     sites = Site(-1, float(places[0]), False), Site(1, float(places[1]), False)
-    constant = most * math.sin(angle)
-    radii = surface.at(np.linspace(float(places[0]), float(places[1]), _BETWEEN))[1][:, 0]
+    constant = largest_m * math.sin(angle)
+    radii = surface.at(np.linspace(float(places[0]), float(places[1]), _PLACES_BETWEEN))[1][:, 0]
     if float(radii.min()) <= constant:
         winding.refuse(
             layer,
@@ -261,7 +274,7 @@ def _hoops(winding: Winding, layer: Layer, surface: Surface) -> Wrap:
     return Wrap(winding, layer, surface, sites, base, 0.0, width, friction, both)
 
 
-def _full(winding: Winding, layer: Layer) -> tuple[float | None, float | None]:
+def _full_angle_ends(winding: Winding, layer: Layer) -> tuple[float | None, float | None]:
     """Return the places between which a layer has its full angle, m; None where none is given."""
     covered = winding.product.covered or (None, None)
     return (
@@ -270,21 +283,21 @@ def _full(winding: Winding, layer: Layer) -> tuple[float | None, float | None]:
     )
 
 
-def _between(
-    surface: Surface, ends_m: tuple[float, float], whole: tuple[float, float, float]
+def _widest_between(
+    surface: Surface, ends_m: tuple[float, float], whole_mandrel: tuple[float, float, float]
 ) -> tuple[float, float, float]:
     """Return ``widest`` between two places, if the rest of the mandrel is wider.
 
     Where the layers below turned on an open end, they stand higher than the product.
     """
     places = surface.place_of(np.array(ends_m))
-    between = np.linspace(float(places[0]), float(places[1]), _BETWEEN)
+    between = np.linspace(float(places[0]), float(places[1]), _PLACES_BETWEEN)
     radii = surface.at(between)[1][:, 0]
-    most = float(radii.max())
-    if most >= whole[0] * (1.0 - ROUGH_LEVEL):
-        return whole
-    wide = between[radii >= most * (1.0 - ROUGH_LEVEL)]
-    return most, float(wide[0]), float(wide[-1])
+    largest_m = float(radii.max())
+    if largest_m >= whole_mandrel[0] * (1.0 - ROUGH_LEVEL):
+        return whole_mandrel
+    widest_u = between[radii >= largest_m * (1.0 - ROUGH_LEVEL)]
+    return largest_m, float(widest_u[0]), float(widest_u[-1])
 
 
 @dataclass(frozen=True, slots=True)
@@ -313,14 +326,14 @@ def _rim(surface: Surface, side: int, width_m: float, friction: float) -> _Rim:
     it counts along the meridian.
     """
     end = surface.length_m if side > 0 else 0.0
-    inside = min(max(end - side * 0.5 * width_m, 0.0), surface.length_m)
-    x, r = surface.at(np.array([end, inside]))
+    inside_u = min(max(end - side * 0.5 * width_m, 0.0), surface.length_m)
+    x, r = surface.at(np.array([end, inside_u]))
     steep = bool(abs(r[0, 1]) > friction * abs(x[0, 1]))
     radius = float(r[0, 0])
     return _Rim(radius, radius + 0.5 * width_m if steep else float(r[1, 0]), steep)
 
 
-def _least(surface: Surface, begin: float, side: int) -> float:
+def _least_radius(surface: Surface, begin: float, side: int) -> float:
     """Return the smallest radius from a place to an end."""
     end = surface.length_m if side > 0 else 0.0
     return float(surface.at(np.linspace(begin, end, 513))[1][:, 0].min())

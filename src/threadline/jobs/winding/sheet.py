@@ -107,14 +107,16 @@ class Sheet:
 
     def note(self) -> str:
         """Return in words the items that the numbers include."""
-        percent = "" if all(row.share is None for row in self.rows) else (
+        share_note = "" if all(row.share is None for row in self.rows) else (
             " The percentage is the stress of the fibres over their strength."
         )  # fmt: skip
-        return f"Fibre with dwells and without joins. {self.timed} {self.costed}{percent}".strip()
+        return (
+            f"Fibre with dwells and without joins. {self.timed} {self.costed}{share_note}".strip()
+        )
 
     def content(self) -> dict[str, Any]:
         """Return the sheet for JSON: one list of layers, and the total."""
-        found = [
+        rows = [
             {
                 "layer": row.name, "material": row.material, "tension_n": row.tension_n,
                 "share_of_strength": row.share, "fibre_m": row.fibre_m, "fibre_kg": row.fibre_kg,
@@ -122,16 +124,16 @@ class Sheet:
             }
             for row in self.rows
         ]  # fmt: skip
-        return {"layers": found[:-1], "total": found[-1], "currency": self.currency or None}
+        return {"layers": rows[:-1], "total": rows[-1], "currency": self.currency or None}
 
 
 def _clock(seconds: float) -> str:
     if seconds < 60.0:
         return f"{seconds:.3g} s"
-    minutes, rest = divmod(round(seconds), 60)
+    minutes, seconds_left = divmod(round(seconds), 60)
     if minutes < 60:
-        return f"{minutes}:{rest:02d} min"
-    return f"{minutes // 60}:{minutes % 60:02d}:{rest:02d} h"
+        return f"{minutes}:{seconds_left:02d} min"
+    return f"{minutes // 60}:{minutes % 60:02d}:{seconds_left:02d} h"
 
 
 def sheet_of(
@@ -146,12 +148,12 @@ def sheet_of(
         the fibre.
     """
     speed = winding.speed_m_s or USUAL_SPEED_M_S
-    found, currencies, unpriced = [], [], False
+    rows, currencies, unpriced = [], [], False
     if winding.hour is not None:
         currencies.append(winding.hour.currency)
-    for one in laid:
-        band, layer = one.layer.band, one.layer
-        length = one.length_m + one.dwells_m
+    for layer_laid in laid:
+        band, layer = layer_laid.layer.band, layer_laid.layer
+        length = layer_laid.length_m + layer_laid.dwells_m
         fibre = None if band.fibre_kg_m is None else band.fibre_kg_m * length
         resin = None if band.resin_kg_m is None else band.resin_kg_m * length
         time_s = length / speed if seconds is None else seconds[layer.number]
@@ -170,10 +172,10 @@ def sheet_of(
             if stress is None or band.composite is None
             else stress / band.composite.fibre["strength"]
         )
-        found.append(
+        rows.append(
             SheetRow(
-                f"{layer.number} {layer.kind}", one.circuit.angle,
-                f"{one.pattern.circuits}/{one.pattern.shift}",
+                f"{layer.number} {layer.kind}", layer_laid.circuit.angle,
+                f"{layer_laid.pattern.circuits}/{layer_laid.pattern.shift}",
                 None if band.composite is None else band.composite.name,
                 layer.tension_n, share, length, fibre, resin, time_s, cost,
             )
@@ -182,7 +184,7 @@ def sheet_of(
     parts += [] if winding.hour is None else ["machine time"]
     return Sheet(
         title=winding.product.name,
-        rows=(*found, _total(found)),
+        rows=(*rows, _total(rows)),
         currency=currencies[0] if currencies else "",
         timed=(
             f"Times at {1e3 * speed:g} mm/s of fibre; threadline prove --report gives the times "
@@ -280,13 +282,17 @@ def wound_laminate(laid: Sequence[Laid]) -> WoundLaminate | None:
     plies: list[Layered] = []
     fibres: list[tuple[float, float]] = []
     strengths = []
-    for one in laid:
-        band, thick, angle = one.layer.band, one.thickness_m, one.circuit.angle
-        if band.composite is None or band.fibre_volume is None or thick is None:
+    for layer_laid in laid:
+        band, thickness_m, angle = (
+            layer_laid.layer.band,
+            layer_laid.thickness_m,
+            layer_laid.circuit.angle,
+        )
+        if band.composite is None or band.fibre_volume is None or thickness_m is None:
             return None
         ply = band.composite.ply(band.fibre_volume)
-        plies += plies_of(ply, angle, thick)
-        fibres.append((angle, thick * band.fibre_volume))
+        plies += plies_of(ply, angle, thickness_m)
+        fibres.append((angle, thickness_m * band.fibre_volume))
         strengths.append(band.composite.strength)
     radius = laid[0].circuit.widest_m
     return WoundLaminate(laminate_of(plies), netting(fibres), radius, min(strengths))

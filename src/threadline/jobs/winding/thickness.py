@@ -20,8 +20,8 @@ from threadline.winding.shapes import table
 from threadline.winding.surface import Surface, surface_of
 
 _GRID = 2049
-_BANDS = 2.0  # band widths before the turn in which the thickness is a cubic
-_POINTS = 513  # points of a grown meridian
+_CUBIC_BANDS = 2.0  # band widths before the turn in which the thickness is a cubic
+_MERIDIAN_POINTS = 513  # points of a grown meridian
 _MOST_SHARE = 0.9  # largest share of the way from the joint to the turn for the cubic
 _DRAWN_OUT = 3.0
 _STEEPEST = 0.003  # cosine of the steepest angle of a grown meridian
@@ -77,12 +77,12 @@ def thickness(
         the band, m^2.
     """
     surface = circuit.surface
-    parts = [_side(surface, sites[0], circuit.left, width_m, fibre_m2)]
+    parts = [_thickness_at_turn(surface, sites[0], circuit.left, width_m, fibre_m2)]
     middle = np.linspace(sites[0].joint, sites[1].joint, _GRID)[1:-1]
     angle = np.interp(middle, circuit.middle[:, 1], circuit.middle[:, 3])
     radius = surface.at(middle)[1][:, 0]
     parts.append((middle, fibre_m2 / (2.0 * math.pi * radius * np.cos(angle))))
-    parts.append(_side(surface, sites[1], circuit.right, width_m, fibre_m2))
+    parts.append(_thickness_at_turn(surface, sites[1], circuit.right, width_m, fibre_m2))
     u = np.concatenate([part[0] for part in parts])
     t = np.concatenate([part[1] for part in parts])
     keep = np.concatenate([[True], np.diff(u) > 1e-12])
@@ -104,64 +104,71 @@ def hoops(
     return Thickness(u, np.full(len(u), fibre_m3 / _integral(surface, u, np.ones(len(u)))))
 
 
-def _side(
+def _thickness_at_turn(
     surface: Surface, site: Site, turn: Turn, width_m: float, fibre_m2: float
 ) -> tuple[FloatArray, FloatArray]:
     """Return places, increasing, and thicknesses from the edge at a turn to the joint."""
     rows = turn.rows
-    ends = float(rows[-1, 1])
-    inside = np.linspace(site.joint, ends, _GRID)
+    turn_u = float(rows[-1, 1])
+    inside = np.linspace(site.joint, turn_u, _GRID)
     radius = surface.at(inside)[1][:, 0]
-    way = np.abs(inside - site.joint)
+    along_m = np.abs(inside - site.joint)
     # Band widths are counted in radius on a dome, and along the meridian on a cylinder.
-    by_radius = abs(radius[0] - radius[-1]) > 2.0 * _BANDS * width_m
-    measure = radius[0] - radius if by_radius else way
-    total = float(measure[-1])
-    begin = max(total - _BANDS * width_m, (1.0 - _MOST_SHARE) * total)
-    last = surface.length_m if site.side > 0 else 0.0
-    edge = _edge(surface, ends, last, 0.5 * width_m, by_radius=by_radius)
-    beyond = np.linspace(ends, edge, 129)[1:] if edge != ends else np.empty(0)
+    by_radius = abs(radius[0] - radius[-1]) > 2.0 * _CUBIC_BANDS * width_m
+    inside_measure = radius[0] - radius if by_radius else along_m
+    total = float(inside_measure[-1])
+    begin = max(total - _CUBIC_BANDS * width_m, (1.0 - _MOST_SHARE) * total)
+    end_u = surface.length_m if site.side > 0 else 0.0
+    edge = _edge(surface, turn_u, end_u, 0.5 * width_m, by_radius=by_radius)
+    beyond = np.linspace(turn_u, edge, 129)[1:] if edge != turn_u else np.empty(0)
     u = np.concatenate([inside, beyond])
     r = np.concatenate([radius, surface.at(beyond)[1][:, 0]]) if len(beyond) else radius
-    far = (radius[0] - r) if by_radius else np.abs(u - site.joint)
+    measure_of_u = (radius[0] - r) if by_radius else np.abs(u - site.joint)
     order = np.argsort(rows[:, 1])
     angle = np.interp(u, rows[order, 1], rows[order, 3])
     with np.errstate(divide="ignore", over="ignore"):
         t = fibre_m2 / (2.0 * math.pi * r * np.maximum(np.cos(angle), 1e-9))
-    zone = far >= begin
-    at = int(np.argmax(zone))
-    if at < 2 or zone.sum() < 4:
+    in_zone = measure_of_u >= begin
+    zone_begin = int(np.argmax(in_zone))
+    if zone_begin < 2 or in_zone.sum() < 4:
         return (u, t) if site.side > 0 else (u[::-1], t[::-1])
     # Volume of the fibre in the zone: cross-section of all passes times the length to the turn.
-    start = float(u[at])
-    passed = float(np.interp(start * site.side, site.side * rows[:, 1], rows[:, 0]))
-    volume = fibre_m2 * (turn.length_m - passed)
-    slope = float((t[at] - t[at - 1]) / (far[at] - far[at - 1]))
-    top = float(far[-1])
-    q = (top - far[at:]) / (top - far[at])  # 0 at the edge, 1 where the zone begins
-    rise = -slope * (top - far[at])
+    start = float(u[zone_begin])
+    passed_m = float(np.interp(start * site.side, site.side * rows[:, 1], rows[:, 0]))
+    volume = fibre_m2 * (turn.length_m - passed_m)
+    slope = float(
+        (t[zone_begin] - t[zone_begin - 1])
+        / (measure_of_u[zone_begin] - measure_of_u[zone_begin - 1])
+    )
+    edge_measure = float(measure_of_u[-1])
+    q = (edge_measure - measure_of_u[zone_begin:]) / (
+        edge_measure - measure_of_u[zone_begin]
+    )  # 0 at the edge, 1 where the zone begins
+    rise = -slope * (edge_measure - measure_of_u[zone_begin])
     # a + c q^2 + d q^3: level at the edge; value and slope at 1.
-    ends_u = u[at:] if site.side > 0 else u[at:][::-1]
+    ends_u = u[zone_begin:] if site.side > 0 else u[zone_begin:][::-1]
 
     def volume_of(values: FloatArray) -> float:
         return _integral(surface, ends_u, values if site.side > 0 else values[::-1])
 
     basis = [volume_of(q**k) for k in (0, 2, 3)]
     system = np.array([[1.0, 1.0, 1.0], [0.0, 2.0, 3.0], basis])
-    a, c, d = np.linalg.solve(system, np.array([float(t[at]), rise, volume]))
+    a, c, d = np.linalg.solve(system, np.array([float(t[zone_begin]), rise, volume]))
     t = t.copy()
-    t[at:] = a + c * q**2 + d * q**3
+    t[zone_begin:] = a + c * q**2 + d * q**3
     return (u, t) if site.side > 0 else (u[::-1], t[::-1])
 
 
-def _edge(surface: Surface, ends: float, last: float, half_m: float, *, by_radius: bool) -> float:
+def _edge(
+    surface: Surface, turn_u: float, end_u: float, half_m: float, *, by_radius: bool
+) -> float:
     """Return u half a band beyond a turn, or the end of the mandrel."""
     if not by_radius:
-        return min(ends + half_m, last) if last > ends else max(ends - half_m, last)
-    u = np.linspace(ends, last, 513)
+        return min(turn_u + half_m, end_u) if end_u > turn_u else max(turn_u - half_m, end_u)
+    u = np.linspace(turn_u, end_u, 513)
     r = surface.at(u)[1][:, 0]
     beyond = np.flatnonzero(r <= r[0] - half_m)
-    return float(u[beyond[0]]) if len(beyond) else last
+    return float(u[beyond[0]]) if len(beyond) else end_u
 
 
 def grown(surface: Surface, by: Thickness, sign: float = 1.0) -> Surface:
@@ -178,19 +185,19 @@ def grown(surface: Surface, by: Thickness, sign: float = 1.0) -> Surface:
         -1 takes a layer away.
     """
     edges = float(by.u[0]), float(by.u[-1])
-    u = np.linspace(0.0, surface.length_m, _POINTS)
-    near = np.abs(u[:, None] - np.array(edges)).min(axis=1)
-    u = np.sort(np.concatenate([u[near > 0.3 * (u[1] - u[0])], edges]))
+    u = np.linspace(0.0, surface.length_m, _MERIDIAN_POINTS)
+    edge_distance = np.abs(u[:, None] - np.array(edges)).min(axis=1)
+    u = np.sort(np.concatenate([u[edge_distance > 0.3 * (u[1] - u[0])], edges]))
     x, r = surface.at(u)
     speed = np.hypot(x[:, 1], r[:, 1])
-    slip = np.maximum(np.maximum(edges[0] - u, u - edges[1]), 0.0)
-    high = np.where(u < edges[0], by.t[0], by.t[-1])
-    t = np.where(slip > 0.0, np.maximum(high - slip / _DRAWN_OUT, 0.0), by.at(u)) * sign
+    beyond_m = np.maximum(np.maximum(edges[0] - u, u - edges[1]), 0.0)
+    edge_t = np.where(u < edges[0], by.t[0], by.t[-1])
+    t = np.where(beyond_m > 0.0, np.maximum(edge_t - beyond_m / _DRAWN_OUT, 0.0), by.at(u)) * sign
     points = np.column_stack([x[:, 0] - t * r[:, 1] / speed, r[:, 0] + t * x[:, 1] / speed])
     forward = np.diff(points[:, 0]) > _STEEPEST * np.hypot(*np.diff(points, axis=0).T)
     middle = len(u) // 2
-    back = np.flatnonzero(~forward[:middle])
-    ahead = np.flatnonzero(~forward[middle:])
-    low = int(back[-1]) + 1 if len(back) else 0
-    high_at = middle + int(ahead[0]) + 1 if len(ahead) else len(u)
+    not_forward_left = np.flatnonzero(~forward[:middle])
+    not_forward_right = np.flatnonzero(~forward[middle:])
+    low = int(not_forward_left[-1]) + 1 if len(not_forward_left) else 0
+    high_at = middle + int(not_forward_right[0]) + 1 if len(not_forward_right) else len(u)
     return surface_of(table(points[low:high_at]), _EDGE_M)

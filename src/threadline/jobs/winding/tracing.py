@@ -54,23 +54,23 @@ def _step(
     for stage in range(1, 6):
         for j in range(3):
             if stage == 1:
-                add = 0.2 * k[0, j]
+                increment = 0.2 * k[0, j]
             elif stage == 2:
-                add = 0.075 * k[0, j] + 0.225 * k[1, j]
+                increment = 0.075 * k[0, j] + 0.225 * k[1, j]
             elif stage == 3:
-                add = 44.0 / 45.0 * k[0, j] - 56.0 / 15.0 * k[1, j] + 32.0 / 9.0 * k[2, j]
+                increment = 44.0 / 45.0 * k[0, j] - 56.0 / 15.0 * k[1, j] + 32.0 / 9.0 * k[2, j]
             elif stage == 4:
-                add = (
+                increment = (
                     19372.0 / 6561.0 * k[0, j] - 25360.0 / 2187.0 * k[1, j]
                     + 64448.0 / 6561.0 * k[2, j] - 212.0 / 729.0 * k[3, j]
                 )  # fmt: skip
             else:
-                add = (
+                increment = (
                     9017.0 / 3168.0 * k[0, j] - 355.0 / 33.0 * k[1, j]
                     + 46732.0 / 5247.0 * k[2, j] + 49.0 / 176.0 * k[3, j]
                     - 5103.0 / 18656.0 * k[4, j]
                 )  # fmt: skip
-            z[j] = y[j] + h * add
+            z[j] = y[j] + h * increment
         _rates(z[0], z[2], ratio, side, piece, px, pr, 0, k[stage])
     for j in range(3):
         z[j] = y[j] + h * (
@@ -119,20 +119,20 @@ def trace(  # noqa: PLR0915 - one loop over the steps
             return count, ENDLESS
         _rates(y[0], y[2], ratio, side, nodes[hint : hint + 2], x[hint : hint + 1],
                r[hint : hint + 1], 0, k[0])  # fmt: skip
-        wall = nodes[hint + 1] if side > 0.0 else nodes[hint]
-        target = min(wall, until) if side > 0.0 else max(wall, until)
+        piece_end = nodes[hint + 1] if side > 0.0 else nodes[hint]
+        target = min(piece_end, until) if side > 0.0 else max(piece_end, until)
         h = k[0, 3]
         _step(y, h, ratio, side, nodes, x, r, hint, k, z)
         crossed = False
         if z[2] >= _HALF_PI:
             for _ in range(_ROUNDS):
-                off = _HALF_PI - z[2]
+                missing = _HALF_PI - z[2]
                 slope = k[5, 2]
-                if off == 0.0 or slope == 0.0:
+                if missing == 0.0 or slope == 0.0:
                     break
-                h += off / slope
+                h += missing / slope
                 _step(y, h, ratio, side, nodes, x, r, hint, k, z)
-                if abs(off) < 1e-15:
+                if abs(missing) < 1e-15:
                     break
             z[2] = _HALF_PI
         if side * (z[0] - target) > 0.0:
@@ -142,22 +142,22 @@ def trace(  # noqa: PLR0915 - one loop over the steps
             h = 0.5 * h
             for _ in range(60):
                 _step(y, h, ratio, side, nodes, x, r, hint, k, z)
-                off = side * (target - z[0])
-                if off > 0.0:
+                missing = side * (target - z[0])
+                if missing > 0.0:
                     low = h
                 else:
                     high = h
                 slope = math.cos(z[2])
-                tried = h + off / slope if slope > 1e-9 else 0.5 * (low + high)
-                if not low < tried < high:
-                    tried = 0.5 * (low + high)
-                if abs(tried - h) < 1e-16 + 1e-15 * abs(h):
+                next_h = h + missing / slope if slope > 1e-9 else 0.5 * (low + high)
+                if not low < next_h < high:
+                    next_h = 0.5 * (low + high)
+                if abs(next_h - h) < 1e-16 + 1e-15 * abs(h):
                     break
-                h = tried
+                h = next_h
             z[0] = target
         length += h
         y[0], y[1], y[2] = z[0], z[1], z[2]
-        if crossed and target == wall:
+        if crossed and target == piece_end:
             hint = min(hint + 1, last) if side > 0.0 else max(hint - 1, 0)
         rows[count, 0], rows[count, 1], rows[count, 2], rows[count, 3] = length, y[0], y[1], y[2]
         if y[2] <= 0.0:

@@ -65,7 +65,7 @@ def write_wind(file: Path, laid: Sequence[Laid]) -> list[str]:
     mandrel = {"diameter": 2e3 * shape.radius, "windLength": 1e3 * (shape.end - shape.begin)}
     if shape.cone:
         mandrel["endDiameter"] = 2e3 * shape.end_radius
-    rows = [_layer(one, shape) for one in laid]
+    rows = [_layer(layer_laid, shape) for layer_laid in laid]
     angles = [row["windAngle"] for row in rows if "windAngle" in row]
     # A feed is the speed of the eye along the mandrel: no layer draws fibre faster than wanted.
     steepest = math.radians(min(angles)) if angles else laid[0].circuit.angle
@@ -126,18 +126,18 @@ def _mandrel(winding: Winding, surface: Surface) -> _Mandrel:
 def _thickness(laid: Sequence[Laid]) -> float:
     """Return the thickness of the only tow, mm."""
     winding, first = laid[0].wrap.winding, laid[0].layer.band.thickness
-    for one in laid:
-        thick = one.layer.band.thickness
-        if thick is None:
+    for layer_laid in laid:
+        band_m = layer_laid.layer.band.thickness
+        if band_m is None:
             winding.refuse(
-                one.layer,
+                layer_laid.layer,
                 "the thickness of the band is not known, and a .wind has one",
                 'Write [band] thickness = "0.25 mm".',
             )
-        if first is not None and abs(thick - first) > 1e-9:
+        if first is not None and abs(band_m - first) > 1e-9:
             winding.refuse(
-                one.layer,
-                f"its band is {1e3 * thick:.4g} mm thick, the first layer's "
+                layer_laid.layer,
+                f"its band is {1e3 * band_m:.4g} mm thick, the first layer's "
                 f"{1e3 * first:.4g} mm; a .wind has one tow",
                 "Wind layers with another band as a second job.",
             )
@@ -145,19 +145,19 @@ def _thickness(laid: Sequence[Laid]) -> float:
     return 1e3 * first
 
 
-def _layer(one: Laid, shape: _Mandrel) -> dict[str, Any]:
+def _layer(layer_laid: Laid, shape: _Mandrel) -> dict[str, Any]:
     """Return a layer of the format."""
-    winding, layer = one.wrap.winding, one.layer
+    winding, layer = layer_laid.wrap.winding, layer_laid.layer
     ends = layer.begin_m, layer.end_m
-    for name, end, whole in zip(("begin", "end"), ends, (shape.begin, shape.end), strict=True):
-        if end is not None and abs(end - whole) > _STRAIGHT_M:
+    for name, end, covered in zip(("begin", "end"), ends, (shape.begin, shape.end), strict=True):
+        if end is not None and abs(end - covered) > _STRAIGHT_M:
             winding.refuse(
                 layer,
-                f"its {name} is {1e3 * end:.6g} mm, and [coverage] has {1e3 * whole:.6g} mm; the "
+                f"its {name} is {1e3 * end:.6g} mm, and [coverage] has {1e3 * covered:.6g} mm; the "
                 "layers of a .wind are all as long as its windLength",
                 f"Leave {name} out.",
             )
-    count = one.pattern.circuits
+    count = layer_laid.pattern.circuits
     if layer.kind == "hoop":
         if shape.cone:
             winding.refuse(layer, "FiberPath winds no hoops on a cone", "Leave the layer out.")
@@ -168,7 +168,7 @@ def _layer(one: Laid, shape: _Mandrel) -> dict[str, Any]:
                 f"Write {count} hoop layers.",
             )
         return {"windType": "hoop", "terminal": False}
-    angle = math.degrees(_angle(one, shape))
+    angle = math.degrees(_angle(layer_laid, shape))
     low, high = ANGLES
     if not low <= angle <= high:
         winding.refuse(
@@ -176,15 +176,15 @@ def _layer(one: Laid, shape: _Mandrel) -> dict[str, Any]:
             f"it begins at {angle:.4g} deg; FiberPath winds {low:g} to {high:g} deg",
             "Give another angle, or a hoop layer.",
         )
-    theirs = circuits_of(1e3 * shape.radius, 1e3 * winding.product.width.si, angle)
-    if theirs == 1 or count != theirs:
+    planned_count = circuits_of(1e3 * shape.radius, 1e3 * winding.product.width.si, angle)
+    if planned_count == 1 or count != planned_count:
         winding.refuse(
             layer,
-            f"{count} circuits; FiberPath winds {theirs} at {angle:.4g} deg, as many as cover"
-            + (" and at least 2" if theirs == 1 else ""),
-            f"Write circuits = {theirs}." if theirs > 1 else "Take a narrower band.",
+            f"{count} circuits; FiberPath winds {planned_count} at {angle:.4g} deg, as many as "
+            "cover" + (" and at least 2" if planned_count == 1 else ""),
+            f"Write circuits = {planned_count}." if planned_count > 1 else "Take a narrower band.",
         )
-    slots, skip = _turn(count, one.pattern.shift)
+    slots, skip = _turn(count, layer_laid.pattern.shift)
     return {
         "windType": "helical",
         "windAngle": angle,
@@ -197,9 +197,9 @@ def _layer(one: Laid, shape: _Mandrel) -> dict[str, Any]:
     }
 
 
-def _angle(one: Laid, shape: _Mandrel) -> float:
+def _angle(layer_laid: Laid, shape: _Mandrel) -> float:
     """Return the winding angle where the covered length begins, rad."""
-    circuit = one.circuit
+    circuit = layer_laid.circuit
     if not shape.cone:
         return circuit.angle
     place = circuit.surface.place_of(np.array([shape.begin]))
@@ -217,17 +217,21 @@ def _turn(count: int, shift: int) -> tuple[int, int]:
 
 def _left_out(winding: Winding, laid: Sequence[Laid], shape: _Mandrel) -> list[str]:
     """Return in words the parts of the product that the format cannot hold."""
-    product, said = winding.product, []
-    zero = product.at.si + shape.begin
-    if abs(zero) > _STRAIGHT_M:
-        said.append(f"the machine place of its 0, {1e3 * zero:.6g} mm")
+    product, texts = winding.product, []
+    zero_m = product.at.si + shape.begin
+    if abs(zero_m) > _STRAIGHT_M:
+        texts.append(f"the machine place of its 0, {1e3 * zero_m:.6g} mm")
     if product.friction.si != FRICTION:
-        said.append(f"the friction of {product.friction.si:g}")
-    dwells = [math.degrees(t.dwell) for one in laid for t in (one.circuit.left, one.circuit.right)]
+        texts.append(f"the friction of {product.friction.si:g}")
+    dwells = [
+        math.degrees(t.dwell)
+        for layer_laid in laid
+        for t in (layer_laid.circuit.left, layer_laid.circuit.right)
+    ]
     if any(dwells):
-        said.append("dwells (FiberPath turns by lockDegrees)")
+        texts.append("dwells (FiberPath turns by lockDegrees)")
     if product.rings:
-        said.append(", ".join(sorted({ring.name for ring in product.rings})))
-    if not said:
+        texts.append(", ".join(sorted({ring.name for ring in product.rings})))
+    if not texts:
         return []
-    return [f"{Place(str(winding.path))}: a .wind has no place for: {'; '.join(said)}."]
+    return [f"{Place(str(winding.path))}: a .wind has no place for: {'; '.join(texts)}."]

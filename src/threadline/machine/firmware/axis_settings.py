@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 from threadline.errors import MachineError, Place
 
-_LEAST, _MOST = 1e-6, 1e9  # plausible range: anything outside is a typing error
+_LEAST_NUMBER, _LARGEST_NUMBER = 1e-6, 1e9  # plausible range: anything outside is a typing error
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,9 +123,9 @@ class Settings:
             self.number(typed, place, name)
         value = self._number(text, place, name, zero=False, typed=typed)
         settings = self.axes.setdefault(axis, AxisSettings())
-        said = SettingValue(value, place, name, (typed or text).strip())
-        self._refuse_another(getattr(settings, what), said)
-        setattr(settings, what, said)
+        setting = SettingValue(value, place, name, (typed or text).strip())
+        self._refuse_another(getattr(settings, what), setting)
+        setattr(settings, what, setting)
 
     def set_planner(
         self,
@@ -148,9 +148,9 @@ class Settings:
             earlier line.
         """
         value = self._number(text, place, name, zero=zero, typed=typed)
-        said = SettingValue(value, place, name, (typed or text).strip())
-        self._refuse_another(self.planner.get(key), said)
-        self.planner[key] = said
+        setting = SettingValue(value, place, name, (typed or text).strip())
+        self._refuse_another(self.planner.get(key), setting)
+        self.planner[key] = setting
 
     def leave_out(self, said: str, does: str, place: Place) -> None:
         """Record a setting that changes the motion but that the planner ignores."""
@@ -202,7 +202,7 @@ class Settings:
         self, text: str, place: Place, name: str, *, zero: bool, typed: str | None = None
     ) -> float:
         value = number_or_nan(text)
-        if not (_LEAST <= value <= _MOST or (value == 0.0 and zero)):
+        if not (_LEAST_NUMBER <= value <= _LARGEST_NUMBER or (value == 0.0 and zero)):
             raise MachineError(
                 f"{name} is {(typed or text).strip()[:40]!r}; it must be "
                 f"{'0, or ' if zero else ''}a number from 10^-6 up to 10^9",
@@ -211,19 +211,20 @@ class Settings:
             )
         return value
 
-    def _refuse_another(self, before: SettingValue | None, said: SettingValue) -> None:
-        if before is not None and before.value != said.value:
+    def _refuse_another(self, earlier: SettingValue | None, setting: SettingValue) -> None:
+        if earlier is not None and earlier.value != setting.value:
             raise MachineError(
-                f"{said.name} is {said.typed} here and {before.typed} on {_line(before, said)}",
-                place=said.place,
+                f"{setting.name} is {setting.typed} here and {earlier.typed} on "
+                f"{_line_text(earlier, setting)}",
+                place=setting.place,
                 remedy="Keep only the valid line.",
             )
 
 
-def _line(before: SettingValue, here: SettingValue) -> str:
-    if before.place.file == here.place.file:
-        return f"line {before.place.line}"
-    return str(before.place)
+def _line_text(earlier: SettingValue, later: SettingValue) -> str:
+    if earlier.place.file == later.place.file:
+        return f"line {earlier.place.line}"
+    return str(earlier.place)
 
 
 def number_or_nan(text: str) -> float:

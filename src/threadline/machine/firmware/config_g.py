@@ -73,46 +73,46 @@ def read_config_g(lines: Sequence[str], file: str) -> Settings:
     settings = Settings("reprapfirmware", file)
     read = _Read(settings)
     _read_lines(read, lines, (Path(file).resolve(),), file)
-    for letter, found in read.ends.items():
-        if letter in read.steps and len(found) == 2:
-            (low, _), (high, at) = found["low"], found["high"]
-            settings.say(letter, "travel", repr(high - low), at, f"M208 {letter}")
-    for letter, (value, typed, at) in read.steps.items():
-        settings.say(letter, "steps", repr(value), at, f"M92 {letter}", typed)
-    for letter, (_, typed, at) in read.micro.items():
+    for letter, axis_ends in read.ends.items():
+        if letter in read.steps and len(axis_ends) == 2:
+            (low, _), (high, place) = axis_ends["low"], axis_ends["high"]
+            settings.say(letter, "travel", repr(high - low), place, f"M208 {letter}")
+    for letter, (value, typed, place) in read.steps.items():
+        settings.say(letter, "steps", repr(value), place, f"M92 {letter}", typed)
+    for letter, (_, typed, place) in read.micro.items():
         if letter in read.steps:
-            settings.say(letter, "microsteps", typed, at, f"M350 {letter}")
+            settings.say(letter, "microsteps", typed, place, f"M350 {letter}")
     return settings
 
 
-def _read_lines(read: _Read, lines: Sequence[str], within: tuple[Path, ...], name: str) -> None:
+def _read_lines(read: _Read, lines: Sequence[str], open_files: tuple[Path, ...], name: str) -> None:
     """Read the lines of a file, and of the files that it runs (``M98 P"drives.g"``)."""
     settings = read.settings
-    under = -1  # indentation of the enclosing condition
+    condition_indent = -1  # indentation of the enclosing condition
     for number, line in enumerate(lines, start=1):
         place = Place(name, number)
-        plain = _plain(line)
-        if not plain.strip():
+        code_text = _without_comments(line)
+        if not code_text.strip():
             continue
-        indent = len(plain) - len(plain.lstrip())
-        under = under if indent > under else -1
-        if _CONDITION.match(plain):
-            under = indent if under < 0 else under
+        indent = len(code_text) - len(code_text.lstrip())
+        condition_indent = condition_indent if indent > condition_indent else -1
+        if _CONDITION.match(code_text):
+            condition_indent = indent if condition_indent < 0 else condition_indent
             continue
         runs = _RUNS.match(line)
-        if runs is not None and under < 0:
-            for path in _beside(runs[1], place, settings, within):
+        if runs is not None and condition_indent < 0:
+            for path in _files_run(runs[1], place, settings, open_files):
                 text = read_text(path, _MOST_BYTES, MachineError, "settings file")
-                _read_lines(read, text.splitlines(), (*within, path), str(path))
+                _read_lines(read, text.splitlines(), (*open_files, path), str(path))
             continue
-        obeyed = plain.strip() if "{" in plain else plain.strip().upper()
-        for command in _COMMANDS.split(obeyed):
+        commands = code_text.strip() if "{" in code_text else code_text.strip().upper()
+        for command in _COMMANDS.split(commands):
             match = _CODE.match(command)
             code = int(match[1]) if match is not None else 0
             if match is None or (code not in _READ and code not in _OTHERS):
-                _heed(settings, command, line, place)
+                _note_other(settings, command, line, place)
                 continue
-            if under >= 0:
+            if condition_indent >= 0:
                 raise MachineError(
                     f"M{code} is inside a condition, whose value is unknown",
                     place=place,
@@ -128,18 +128,18 @@ def _read_lines(read: _Read, lines: Sequence[str], within: tuple[Path, ...], nam
             _take(read, code, words, place)
 
 
-def _beside(
-    name: str, place: Place, settings: Settings, within: tuple[Path, ...]
+def _files_run(
+    name: str, place: Place, settings: Settings, open_files: tuple[Path, ...]
 ) -> Iterator[Path]:
     """Yield the file that M98 runs, if it lies in the folder of the first file; else note it."""
-    found = files_beside(glob.escape(name), within[0].parent)
-    if not found:
+    paths = files_beside(glob.escape(name), open_files[0].parent)
+    if not paths:
         settings.unheeded.append(
             f"{place}: the file run by M98 is not read: no such file beside this one "
             f"({name[:60]}); put its settings of axes in its place"
         )
-    for path in found:
-        if path in within:
+    for path in paths:
+        if path in open_files:
             raise MachineError(
                 f'M98 P"{name}" runs its own file',
                 place=place,
@@ -171,23 +171,23 @@ def _take(read: _Read, code: int, words: dict[str, str], place: Place) -> None:
         elif code == 92:
             value = settings.number(text, place, name)
             if "S" in words:  # S: microsteps for which this value holds
-                value *= _micro(read, letter) / settings.number(words["S"], place, "M92 S")
+                value *= _microsteps_of(read, letter) / settings.number(words["S"], place, "M92 S")
             read.steps[letter] = value, text, place
         elif code == 350:
-            value, before = settings.number(text, place, name), _micro(read, letter)
+            value, micro_before = settings.number(text, place, name), _microsteps_of(read, letter)
             if letter in read.steps:  # the firmware keeps the travel per full step
-                steps, typed, at = read.steps[letter]
-                read.steps[letter] = steps * value / before, typed, at
+                steps, typed, steps_place = read.steps[letter]
+                read.steps[letter] = steps * value / micro_before, typed, steps_place
             read.micro[letter] = value, text, place
         elif code in _READ:
             settings.say(letter, _READ[code], text, place, name)
 
 
-def _micro(read: _Read, letter: str) -> float:
+def _microsteps_of(read: _Read, letter: str) -> float:
     return read.micro[letter][0] if letter in read.micro else _MICROSTEPS
 
 
-def _heed(settings: Settings, plain: str, line: str, place: Place) -> None:
+def _note_other(settings: Settings, plain: str, line: str, place: Place) -> None:
     """Refuse commands that change the meaning of numbers; record others that change the motion."""
     if re.match(r"M453\b", plain):
         settings.dialect = "reprapfirmware-cnc"
@@ -196,9 +196,9 @@ def _heed(settings: Settings, plain: str, line: str, place: Place) -> None:
     kinematics = re.match(r"M669\b.*?\bK\s*(\d+)", plain)
     if kinematics is not None and int(kinematics[1]) != 0:
         settings.refuse_kinematics(f"M669 K{kinematics[1]}", place)
-    other = re.match(r"(?:M665\b|M667\b.*?\bS\s*0*[1-9])", plain)  # a delta, a core XY
-    if other is not None:
-        settings.refuse_kinematics(other[0].strip(), place)
+    kinematics_match = re.match(r"(?:M665\b|M667\b.*?\bS\s*0*[1-9])", plain)  # a delta, a core XY
+    if kinematics_match is not None:
+        settings.refuse_kinematics(kinematics_match[0].strip(), place)
     if re.match(r"M593\b", plain) and not re.search(r'P"none"', line, re.IGNORECASE):
         settings.shapes("M593", place)
     runs = re.match(r"(M98|M501)\b", plain)
@@ -207,27 +207,27 @@ def _heed(settings: Settings, plain: str, line: str, place: Place) -> None:
             f"{place}: the file run by {runs[1]} is not read; put its settings of axes in its place"
         )
     words = {letter: number_or_nan(text) for letter, text in _WORD.findall(plain[4:])}
-    of_axes = {letter: number for letter, number in words.items() if letter in _LETTERS}
+    axis_words = {letter: number for letter, number in words.items() if letter in _LETTERS}
     command = plain.strip()
-    if re.match(r"M579\b", plain) and any(number != 1.0 for number in of_axes.values()):
+    if re.match(r"M579\b", plain) and any(number != 1.0 for number in axis_words.values()):
         raise MachineError(
             f"{command} scales the positions of an axis, so that all its lengths are wrong",
             place=place,
             remedy="Include the scale in the steps of M92 and remove M579, on the machine too.",
         )
-    if re.match(r"M556\b", plain) and any(of_axes.values()):
+    if re.match(r"M556\b", plain) and any(axis_words.values()):
         settings.leave_out(command, "moves an axis in proportion to another (skew)", place)
-    if re.match(r"M425\b", plain) and any(of_axes.values()):
+    if re.match(r"M425\b", plain) and any(axis_words.values()):
         settings.leave_out(command, "adds a motion of the motor at reversals (backlash)", place)
     if re.match(r"(?:M375\b|G29\b.*\bS\s*1\b|M376\b.*\bH\s*0*[1-9])", plain):
         settings.leave_out(command, "moves Z by the mesh of the bed", place)
     drivers = re.match(r"M584\b.*\bR\s*([01])\b", plain)
     if drivers is not None:
-        for letter in of_axes:
+        for letter in axis_words:
             settings.turning[letter] = drivers[1] == "1"
 
 
-def _plain(line: str) -> str:
+def _without_comments(line: str) -> str:
     """Return a line without its comments and quoted texts."""
     return re.sub(r'"[^"]*"|\([^)]*\)', " ", line.split(";", 1)[0]).rstrip()
 
@@ -245,14 +245,14 @@ def _end(
     except ValueError:
         numbers = []
     if len(numbers) == 2:
-        said = {"low": numbers[0], "high": numbers[1]}
+        named_ends = {"low": numbers[0], "high": numbers[1]}
     elif len(numbers) == 1:
-        said = {"low" if words.get("S") == "1" else "high": numbers[0]}
+        named_ends = {"low" if words.get("S") == "1" else "high": numbers[0]}
     else:
         raise MachineError(
             f"M208 {letter} is {text[:40]!r}; it must be a number, or two numbers with a colon",
             place=place,
             remedy="Write it like M208 X0:600.",
         )
-    for end, value in said.items():
+    for end, value in named_ends.items():
         ends.setdefault(letter, {})[end] = (value, place)

@@ -28,13 +28,13 @@ _WORDS = (
     r"\[?(?:recv|received|rcvd|rx|read|send|sending|sent|tx|write|client|console|feeder|serial\w*|info|"
     r"debug)\b\s*[:>|<\]-]+"
 )
-_BEFORE = re.compile(
+_PREFIX = re.compile(
     rf"\s*(?:{_DATE}|{_TIME}|{_WORDS}|echo:|config:|[<>│┃]+|->|<-|=>|[:|-](?=\s))\s*",
     re.IGNORECASE,
 )
 _SETTING = re.compile(r"\$\d{1,3}\s*=|(?<![\w.])M(?:92|20[1345])\s*[A-Z]\s*-?\d")
 _NO_PREFIX = re.compile(r"[;#%(/]|.*[\"']|.*\b(?:unknown|invalid|error|default|old|was)\b", re.I)
-_ENOUGH = 3  # a text before so many settings is a prefix
+_LEAST_PREFIXED = 3  # a text before so many settings is a prefix
 _NEW_LINE = re.compile(r"</?(?:br|p|div|li|ul|ol|tr|pre|blockquote|h\d)\b[^<>]*>", re.IGNORECASE)
 _CELL = re.compile(r"</(?:td|th)\s*>", re.IGNORECASE)
 _TAG = re.compile(
@@ -115,23 +115,23 @@ class DumpSetting:
 
 def dump_lines(lines: Sequence[tuple[int, str]], file: str) -> list[DumpLine]:
     """Return the numbered lines of a log without prompts, time stamps and echoes."""
-    texts = [_without(_BEFORE, line.strip()) for _, line in lines]
-    shared = Counter(
+    texts = [_without(_PREFIX, line.strip()) for _, line in lines]
+    prefix_counts = Counter(
         re.sub(r"\d+", "0", text[: match.start()].rstrip())
         for text in texts
         if (match := _SETTING.search(text)) is not None and match.start()
     )
-    for prefix, count in shared.items():
-        if count >= _ENOUGH and _NO_PREFIX.match(prefix) is None:
-            form = re.compile("^" + re.escape(prefix).replace("0", r"\d+") + r"\s*")
-            texts = [_without(_BEFORE, form.sub("", text, count=1)) for text in texts]
+    for prefix, count in prefix_counts.items():
+        if count >= _LEAST_PREFIXED and _NO_PREFIX.match(prefix) is None:
+            pattern = re.compile("^" + re.escape(prefix).replace("0", r"\d+") + r"\s*")
+            texts = [_without(_PREFIX, pattern.sub("", text, count=1)) for text in texts]
     return [
         DumpLine(Place(file, number), text) for (number, _), text in zip(lines, texts, strict=True)
     ]
 
 
-def _without(before: re.Pattern[str], text: str) -> str:
-    while (match := before.match(text)) is not None and match.end():
+def _without(prefix: re.Pattern[str], text: str) -> str:
+    while (match := prefix.match(text)) is not None and match.end():
         text = text[match.end() :]
     return text.strip()
 
@@ -153,34 +153,37 @@ def in_force(
         Returns whether two texts mean the same value.
     """
     first: dict[str, DumpSetting] = {}
-    if all(same(first.setdefault(one.key, one).text, one.text) for one in sayings):
+    if all(same(first.setdefault(setting.key, setting).text, setting.text) for setting in sayings):
         return list(first.values()), ""
     dumps: list[list[DumpSetting]] = [[]]
-    for one in sayings:
-        if dumps[-1] and one.order < dumps[-1][-1].order:
+    for setting in sayings:
+        if dumps[-1] and setting.order < dumps[-1][-1].order:
             dumps.append([])
-        dumps[-1].append(one)
-    most = max(len({one.key for one in dump}) for dump in dumps)
-    whole = [at for at, dump in enumerate(dumps) if len({one.key for one in dump}) == most]
-    last = whole[-1]
+        dumps[-1].append(setting)
+    most_keys = max(len({setting.key for setting in dump}) for dump in dumps)
+    complete = [
+        at for at, dump in enumerate(dumps) if len({setting.key for setting in dump}) == most_keys
+    ]
+    last = complete[-1]
     kept = dumps[last]
     note = ""
-    if len(whole) > 1:
+    if len(complete) > 1:
         note = (
-            f"{kept[0].place}: the last of {len(whole)} complete dumps in this file is read, lines "
+            f"{kept[0].place}: the last of {len(complete)} complete dumps in this file is read, "
+            "lines "
             f"{kept[0].place.line} to {kept[-1].place.line}"
         )
-    return [one for dump in dumps[last:] for one in dump], note
+    return [setting for dump in dumps[last:] for setting in dump], note
 
 
 def files_beside(pattern: str, folder: Path) -> list[Path]:
     """Return the files that match ``pattern``, only in ``folder`` or below it."""
     try:
-        found = sorted(folder.glob(pattern)) if pattern.strip("/") else []
+        paths = sorted(folder.glob(pattern)) if pattern.strip("/") else []
     except (NotImplementedError, ValueError, IndexError):
-        found = []
-    whole = [path.resolve() for path in found if path.is_file()]
-    return [path for path in whole if path.is_relative_to(folder)]
+        paths = []
+    files = [path.resolve() for path in paths if path.is_file()]
+    return [path for path in files if path.is_relative_to(folder)]
 
 
 class Pasted(NamedTuple):
@@ -200,25 +203,25 @@ class Pasted(NamedTuple):
 
 def pasted(lines: Sequence[str]) -> Pasted:
     """Return the lines of a terminal in the lines of a file."""
-    found = [
+    shown_lines = [
         (number, _unmarked(part))
         for number, line in enumerate(lines, start=1)
-        for part in _parts(line)
+        for part in _shown_lines(line)
     ]
-    rows = [_ROW.match(text) for _, text in found]
+    rows = [_ROW.match(text) for _, text in shown_lines]
     if sum(row is not None for row in rows) >= _ROWS_OF_A_TABLE:
-        found = [
+        shown_lines = [
             (number, text if row is None else _pasted_setting(row))
-            for (number, text), row in zip(found, rows, strict=True)
+            for (number, text), row in zip(shown_lines, rows, strict=True)
         ]
     settings = [
-        match[0] for _, text in found if (match := _PASTED_SETTING.search(text)) is not None
+        match[0] for _, text in shown_lines if (match := _PASTED_SETTING.search(text)) is not None
     ]
     commas = any(_COMMA.search(text) for text in settings)
     if not commas or any(_POINT.search(text) for text in settings):
-        return Pasted(found, "")
+        return Pasted(shown_lines, "")
     return Pasted(
-        [(number, _PASTED_SETTING.sub(_pointed, text)) for number, text in found], _COMMAS
+        [(number, _PASTED_SETTING.sub(_pointed, text)) for number, text in shown_lines], _COMMAS
     )
 
 
@@ -229,56 +232,61 @@ def file_lines(lines: Sequence[str]) -> list[str]:
     of HTML and of forums, and an indentation of the whole file are removed. Lines outside of the
     fences or of ``<pre>`` become empty, so that the number of lines does not change.
     """
-    shown = list(lines)
-    filled = sum(bool(line.strip()) for line in shown)
+    kept_lines = list(lines)
+    filled_count = sum(bool(line.strip()) for line in kept_lines)
     for prefix in _PREFIXES:
-        matches = [prefix.match(line) for line in shown]
-        if filled and sum(match is not None for match in matches) >= _NEARLY_ALL * filled:
-            shown = [
+        matches = [prefix.match(line) for line in kept_lines]
+        if (
+            filled_count
+            and sum(match is not None for match in matches) >= _NEARLY_ALL * filled_count
+        ):
+            kept_lines = [
                 "" if match is None else line[match.end() :]
-                for line, match in zip(shown, matches, strict=True)
+                for line, match in zip(kept_lines, matches, strict=True)
             ]
-    shown = _within(shown, _FENCE) if any(map(_FENCE.match, shown)) else shown
-    if any(map(_PAGE.search, shown)):
-        shown = [html.unescape(_PAGE.sub("", line)) for line in _preformatted(shown)]
-    shown = ["" if _BOARD.match(line) else line for line in shown]
-    return textwrap.dedent("\n".join(shown)).split("\n") if shown else shown
+    kept_lines = (
+        _between_fences(kept_lines, _FENCE) if any(map(_FENCE.match, kept_lines)) else kept_lines
+    )
+    if any(map(_PAGE.search, kept_lines)):
+        kept_lines = [html.unescape(_PAGE.sub("", line)) for line in _preformatted(kept_lines)]
+    kept_lines = ["" if _BOARD.match(line) else line for line in kept_lines]
+    return textwrap.dedent("\n".join(kept_lines)).split("\n") if kept_lines else kept_lines
 
 
-def _within(lines: Sequence[str], fence: re.Pattern[str]) -> list[str]:
+def _between_fences(lines: Sequence[str], fence: re.Pattern[str]) -> list[str]:
     """Return the lines between fences; all others are empty."""
-    found, inside = [], False
+    fenced, inside = [], False
     for line in lines:
         if fence.match(line):
             inside = not inside
-            found.append("")
+            fenced.append("")
         else:
-            found.append(line if inside else "")
-    return found
+            fenced.append(line if inside else "")
+    return fenced
 
 
 def _preformatted(lines: Sequence[str]) -> list[str]:
     """Return the lines with only the text within ``<pre>`` kept, if the page has a ``<pre>``."""
     if not any(map(_PRE.search, lines)):
         return list(lines)
-    found, inside = [], False
+    kept_lines, inside = [], False
     for line in lines:
-        kept, at = "", 0
+        kept_text, position = "", 0
         for tag in _PRE.finditer(line):
-            kept += line[at : tag.start()] if inside else ""
-            inside, at = not tag[1], tag.end()
-        found.append(kept + (line[at:] if inside else ""))
-    return found
+            kept_text += line[position : tag.start()] if inside else ""
+            inside, position = not tag[1], tag.end()
+        kept_lines.append(kept_text + (line[position:] if inside else ""))
+    return kept_lines
 
 
-def _parts(line: str) -> list[str]:
+def _shown_lines(line: str) -> list[str]:
     """Return the lines that a line of a web page shows."""
     if "<" in line or "&" in line:
         line = _CELL.sub("\t", _NEW_LINE.sub("\n", line))
         line = _TAG.sub("", line)
         if _ENTITY.search(line):
             line = html.unescape(line)
-    return [part for shown in line.split("\n") for part in _FLAT.split(shown)]
+    return [part for line_shown in line.split("\n") for part in _FLAT.split(line_shown)]
 
 
 def _unmarked(text: str) -> str:

@@ -28,7 +28,7 @@ _GRBL = {100: "steps", 110: "rate", 120: "acceleration", 130: "travel"}
 _SETTING = re.compile(r"\$(\d{1,3})\s*=\s*([^\s(;,>]*)")
 _ALONE = re.compile(r"\$\d{1,3}$")  # query of a single setting in grblHAL
 _COMMENT = re.compile(r"\s*(?:[A-Za-z(;,>|/#<\[-].*)?$")
-_AMID = re.compile(r"(?<![\w$])\$1[0-3]\d\s*=")
+_SETTING_AMID = re.compile(r"(?<![\w$])\$1[0-3]\d\s*=")
 _OPTIONS = re.compile(r"\[OPT:([A-Z+0-9]*)")
 _AXES = re.compile(r"\[AXS:\d:([A-Z]{1,9})\]")
 _OLD = re.compile(r"\$[0-2]\s*=\s*[\d.]+\s*\(\s*[xyz]\W.*step")
@@ -61,9 +61,9 @@ def read_grbl(lines: Sequence[str], file: str) -> Settings:
     settings = Settings("grbl", file)
     letters = _GRBL_AXES
     sayings: list[DumpSetting] = []
-    shown = pasted(lines)
-    settings.notes += [shown.note] if shown.note else []
-    for line in dump_lines(shown.lines, file):
+    terminal = pasted(lines)
+    settings.notes += [terminal.note] if terminal.note else []
+    for line in dump_lines(terminal.lines, file):
         text = line.text
         if "FluidNC" in text and not text.startswith(";"):
             settings.firmware = "fluidnc"
@@ -81,31 +81,35 @@ def read_grbl(lines: Sequence[str], file: str) -> Settings:
         sayings += _settings_of(line)
     kept, note = in_force(sayings, lambda a, b: number_or_nan(a) == number_or_nan(b))
     settings.notes += [note] if note else []
-    given = {one.key for one in kept if one.order // 10 == 10 and not _zero(one.text)}
+    steps_given = {
+        setting.key for setting in kept if setting.order // 10 == 10 and not _is_zero(setting.text)
+    }
     absent: dict[str, None] = {}
-    for one in kept:
-        name = f"${one.key}"
-        if one.order == _DEVIATION:
-            settings.set_planner("junction_deviation", one.text, one.place, name)
+    for setting in kept:
+        name = f"${setting.key}"
+        if setting.order == _DEVIATION:
+            settings.set_planner("junction_deviation", setting.text, setting.place, name)
             continue
-        letter = letters[one.order % 10]
-        if _zero(one.text) and one.order < 110:
+        letter = letters[setting.order % 10]
+        if _is_zero(setting.text) and setting.order < 110:
             absent.setdefault(letter)
-            settings.notes.append(f"{one.place}: {name}={one.text}: no axis {letter}")
+            settings.notes.append(f"{setting.place}: {name}={setting.text}: no axis {letter}")
         if letter in absent or letter not in _LETTERS:
             continue
-        what = _GRBL[one.order - one.order % 10]
-        if _zero(one.text):  # the axis exists
+        quantity = _GRBL[setting.order - setting.order % 10]
+        if _is_zero(setting.text):  # the axis exists
             settings.axes.setdefault(letter, AxisSettings())
-            settings.notes.append(f"{one.place}: {name}={one.text}: {_NONE_IS_ZERO} ({what})")
+            settings.notes.append(
+                f"{setting.place}: {name}={setting.text}: {_NONE_IS_ZERO} ({quantity})"
+            )
             continue
-        settings.say(letter, what, one.text, one.place, name)
-    if not given and absent:
+        settings.say(letter, quantity, setting.text, setting.place, name)
+    if not steps_given and absent:
         settings.axes.clear()
     return settings
 
 
-def _zero(text: str) -> bool:
+def _is_zero(text: str) -> bool:
     return number_or_nan(text) == 0.0
 
 
@@ -115,21 +119,21 @@ def _settings_of(line: DumpLine) -> list[DumpSetting]:
     if text[:1] in ";(%":
         return []
     if re.match(r"\$\d", text) is None:
-        if _AMID.search(text.split(";", 1)[0]):
+        if _SETTING_AMID.search(text.split(";", 1)[0]):
             raise unknown(text, line.place, "$110=5000.000, with nothing before the $")
         return []
     if _ALONE.match(text):
         return []
-    found, at = [], 0
-    while (match := _SETTING.match(text, at)) is not None:
+    settings, position = [], 0
+    while (match := _SETTING.match(text, position)) is not None:
         code = int(match[1])
         if code == _DEVIATION or (code - code % 10 in _GRBL and code % 10 < len(_GRBL_AXES)):
-            found.append(DumpSetting(code, match[1], match[2], line.place))
-        at = match.end()
-        at += len(text[at:]) - len(text[at:].lstrip(" \t,;"))
-    if not at or _COMMENT.match(text, at) is None:
+            settings.append(DumpSetting(code, match[1], match[2], line.place))
+        position = match.end()
+        position += len(text[position:]) - len(text[position:].lstrip(" \t,;"))
+    if not position or _COMMENT.match(text, position) is None:
         raise unknown(text, line.place, "$110=5000.000")
-    return found
+    return settings
 
 
 def is_fluidnc(lines: Sequence[str]) -> bool:
@@ -165,30 +169,30 @@ def read_fluidnc(lines: Sequence[str], file: str) -> Settings:
             raise unknown(line, place, "steps_per_mm: 80.000")
         while path and path[-1][0] >= indent:
             path.pop()
-        above = [name for _, name in path]
-        _refuse_elsewhere(typed, key, value, above, place)
+        parents = [name for _, name in path]
+        _refuse_elsewhere(typed, key, value, parents, place)
         path.append((indent, key))
-        if above == ["axes"] and not value and typed.upper() in _LETTERS:
+        if parents == ["axes"] and not value and typed.upper() in _LETTERS:
             settings.axes.setdefault(typed.upper(), AxisSettings())
-        if len(above) == 2 and above[0] == "axes" and key in _FLUIDNC:
-            letter = above[1].upper()
+        if len(parents) == 2 and parents[0] == "axes" and key in _FLUIDNC:
+            letter = parents[1].upper()
             if letter in _LETTERS:
-                name = f"axes.{above[1]}.{key}"
+                name = f"axes.{parents[1]}.{key}"
                 settings.say(letter, _FLUIDNC[key], value, place, name)
-        elif above == ["kinematics"] and key != "cartesian":
+        elif parents == ["kinematics"] and key != "cartesian":
             settings.refuse_kinematics(f"kinematics: {typed[:40]}", place)
-        elif not above and key == "kinematics" and value.lower() not in ("", "cartesian"):
+        elif not parents and key == "kinematics" and value.lower() not in ("", "cartesian"):
             settings.refuse_kinematics(f"kinematics: {value[:40]}", place)
-        elif not above and key == "junction_deviation_mm":
+        elif not parents and key == "junction_deviation_mm":
             settings.set_planner("junction_deviation", value, place, key)
     for letter, axis in settings.axes.items():
-        for what, default in _FLUIDNC_TAKES.items():
-            if getattr(axis, what) is None:
-                settings.say(letter, what, default, Place(file), "default of fluidnc")
+        for quantity, default in _FLUIDNC_TAKES.items():
+            if getattr(axis, quantity) is None:
+                settings.say(letter, quantity, default, Place(file), "default of fluidnc")
     return settings
 
 
-def _refuse_elsewhere(typed: str, key: str, value: str, above: list[str], place: Place) -> None:
+def _refuse_elsewhere(typed: str, key: str, value: str, parents: list[str], place: Place) -> None:
     """Refuse includes and inline forms: an axis in them would be lost without a warning."""
     if key == "include" or value.startswith(("!", "&", "*")):
         raise MachineError(
@@ -196,7 +200,7 @@ def _refuse_elsewhere(typed: str, key: str, value: str, above: list[str], place:
             place=place,
             remedy="Replace it by its text.",
         )
-    table = key == "axes" if not above else above == ["axes"] and key.upper() in _LETTERS
+    table = key == "axes" if not parents else parents == ["axes"] and key.upper() in _LETTERS
     if value and table:
         raise MachineError(
             f"{typed[:40]}: {value[:40]!r}: each setting of an axis needs a separate line",

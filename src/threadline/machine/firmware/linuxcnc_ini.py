@@ -49,8 +49,8 @@ Keys = dict[str, tuple[str, Place]]
 
 def is_linuxcnc(lines: Sequence[str]) -> bool:
     """Return whether lines are a LinuxCNC INI: two of its sections, or any one and an #INCLUDE."""
-    own = sum(_OWN.match(line) is not None for line in lines)
-    if own > 1:
+    section_count = sum(_OWN.match(line) is not None for line in lines)
+    if section_count > 1:
         return True
     included = any(line.strip().upper().startswith("#INCLUDE") for line in lines)
     return included and any(_SECTION.match(line.strip()) is not None for line in lines)
@@ -66,11 +66,11 @@ def read_linuxcnc(lines: Sequence[str], file: str) -> Settings:
     """
     settings = Settings("linuxcnc", file)
     sections = _sections(lines, file, settings.notes)
-    whole = Place(file)
+    file_place = Place(file)
     traj, kins = sections.get("TRAJ", {}), sections.get("KINS", {})
     _check_kinematics(settings, kins)
     length, angle = _units(traj)
-    letters = _letters(kins, traj, whole)
+    letters = _letters(kins, traj, file_place)
     joints = "JOINT" if any(name.startswith("JOINT_") for name in sections) else "AXIS"
     for index, letter in enumerate(letters):
         if letter in letters[:index]:
@@ -98,7 +98,7 @@ def _sections(lines: Sequence[str], file: str, notes: list[str]) -> dict[str, Ke
     """
     sections: dict[str, Keys] = {}
     section: Keys | None = None
-    for place, code in _joined(lines, (Path(file).resolve(),)):
+    for place, code in _joined_lines(lines, (Path(file).resolve(),)):
         header = _SECTION.match(re.sub(r"\s*[;#].*", "", code))
         if header is not None:
             section = sections.setdefault(header[1].upper(), {})
@@ -118,39 +118,41 @@ def _sections(lines: Sequence[str], file: str, notes: list[str]) -> dict[str, Ke
     return sections
 
 
-def _joined(lines: Sequence[str], within: tuple[Path, ...]) -> Iterator[tuple[Place, str]]:
+def _joined_lines(
+    lines: Sequence[str], open_files: tuple[Path, ...]
+) -> Iterator[tuple[Place, str]]:
     """Yield the lines with their places, with continued lines joined and includes replaced."""
-    begun, begins = "", Place(str(within[-1]))
+    joined_code, first_place = "", Place(str(open_files[-1]))
     for number, line in enumerate(lines, start=1):
-        place = Place(str(within[-1]), number)
+        place = Place(str(open_files[-1]), number)
         code = line.strip()
         if code.upper().startswith("#INCLUDE"):
-            yield from _included(code[len("#INCLUDE") :].strip(), place, within)
+            yield from _included(code[len("#INCLUDE") :].strip(), place, open_files)
             continue
-        if not begun and (not code or code[0] in ";#"):
+        if not joined_code and (not code or code[0] in ";#"):
             continue
-        begins = begins if begun else place
-        begun += code
-        if begun.endswith("\\"):
-            begun = begun.removesuffix("\\").rstrip() + " "
+        first_place = first_place if joined_code else place
+        joined_code += code
+        if joined_code.endswith("\\"):
+            joined_code = joined_code.removesuffix("\\").rstrip() + " "
             continue
-        yield begins, begun
-        begun = ""
-    if begun:
-        yield begins, begun
+        yield first_place, joined_code
+        joined_code = ""
+    if joined_code:
+        yield first_place, joined_code
 
 
-def _included(name: str, place: Place, within: tuple[Path, ...]) -> Iterator[tuple[Place, str]]:
+def _included(name: str, place: Place, open_files: tuple[Path, ...]) -> Iterator[tuple[Place, str]]:
     """Yield the lines of an included file in the same folder or below."""
-    found = files_beside(name, within[-1].parent)
-    if len(found) != 1 or found[0] in within:
+    paths = files_beside(name, open_files[-1].parent)
+    if len(paths) != 1 or paths[0] in open_files:
         raise MachineError(
             f"#INCLUDE {name[:60]}: no such file beside this one, or it includes itself",
             place=place,
             remedy="Put the file there, or replace this line by its text.",
         )
-    text = read_text(found[0], _MOST_BYTES, MachineError, "INI")
-    yield from _joined(text.splitlines(), (*within, found[0]))
+    text = read_text(paths[0], _MOST_BYTES, MachineError, "INI")
+    yield from _joined_lines(text.splitlines(), (*open_files, paths[0]))
 
 
 def _check_kinematics(settings: Settings, kins: Keys) -> None:
@@ -159,11 +161,11 @@ def _check_kinematics(settings: Settings, kins: Keys) -> None:
         settings.refuse_kinematics(f"KINEMATICS = {text[:40]}", place)
 
 
-def _letters(kins: Keys, traj: Keys, whole: Place) -> str:
+def _letters(kins: Keys, traj: Keys, file_place: Place) -> str:
     """Return the axis letter of each joint, in the order of the joints."""
-    found = re.search(r"coordinates\s*=\s*([A-Za-z]+)", kins.get("KINEMATICS", ("", whole))[0])
-    text = found[1] if found is not None else traj.get("COORDINATES", ("XYZ", whole))[0]
-    place = traj.get("COORDINATES", kins.get("KINEMATICS", ("", whole)))[1]
+    match = re.search(r"coordinates\s*=\s*([A-Za-z]+)", kins.get("KINEMATICS", ("", file_place))[0])
+    text = match[1] if match is not None else traj.get("COORDINATES", ("XYZ", file_place))[0]
+    place = traj.get("COORDINATES", kins.get("KINEMATICS", ("", file_place)))[1]
     letters = "".join(text.split()).upper()
     wrong = [letter for letter in letters if letter not in _LETTERS]
     if wrong or not letters:
@@ -185,14 +187,14 @@ def _units(traj: Keys) -> tuple[float, float]:
             place=place,
             remedy="Write it like LINEAR_UNITS = mm.",
         )
-    turns, at = traj.get("ANGULAR_UNITS", ("degree", Place("")))
-    if turns.lower() not in _ANGLES and number_or_nan(turns) != 1.0:
+    angle_unit, angle_place = traj.get("ANGULAR_UNITS", ("degree", Place("")))
+    if angle_unit.lower() not in _ANGLES and number_or_nan(angle_unit) != 1.0:
         raise MachineError(
-            f"ANGULAR_UNITS is {turns[:40]!r}; it must be degree, radian or gradian",
-            place=at,
+            f"ANGULAR_UNITS is {angle_unit[:40]!r}; it must be degree, radian or gradian",
+            place=angle_place,
             remedy="Write it like ANGULAR_UNITS = degree.",
         )
-    return (25.4 if word in _INCHES else 1.0), _ANGLES.get(turns.lower(), 1.0)
+    return (25.4 if word in _INCHES else 1.0), _ANGLES.get(angle_unit.lower(), 1.0)
 
 
 def _turns(letter: str, *sections: Keys) -> bool:
@@ -204,25 +206,27 @@ def _turns(letter: str, *sections: Keys) -> bool:
 
 def _set_axis(settings: Settings, letter: str, axis: Keys, joint: Keys, factor: float) -> None:
     """Set the limits of an axis: the smaller of its [AXIS_] and [JOINT_] limits."""
-    for key, (what, a_minute) in _LIMITS.items():
-        given = [(keys[key], keys is joint) for keys in (axis, joint) if key in keys]
-        if not given:
+    for key, (quantity, a_minute) in _LIMITS.items():
+        limits_given = [(keys[key], keys is joint) for keys in (axis, joint) if key in keys]
+        if not limits_given:
             continue
-        (text, place), of_joint = min(given, key=lambda one: _sized(one[0][0]))
+        (text, place), of_joint = min(
+            limits_given, key=lambda limit: _number_or_negative(limit[0][0])
+        )
         name = f"[{'JOINT' if of_joint and axis else 'AXIS'}] {letter} {key}"
-        settings.say(letter, what, times(text, a_minute * factor), place, name, text)
+        settings.say(letter, quantity, times(text, a_minute * factor), place, name, text)
     for key in _SCALES:
         if key in joint:
             text, place = joint[key]
             size = repr(abs(number_or_nan(text)) / factor)
             settings.say(letter, "steps", size, place, f"{letter} {key}", text.removeprefix("-"))
             break
-    low, high = (_end(key, axis, joint) for key in ("MIN_LIMIT", "MAX_LIMIT"))
+    low, high = (_first_of(key, axis, joint) for key in ("MIN_LIMIT", "MAX_LIMIT"))
     if low is not None and high is not None and not settings.turning[letter]:
-        way = number_or_nan(high[0]) - number_or_nan(low[0])
-        if not way >= _ENDLESS:
+        travel = number_or_nan(high[0]) - number_or_nan(low[0])
+        if not travel >= _ENDLESS:
             name = f"{letter} MIN_LIMIT {low[0]} MAX_LIMIT"
-            settings.say(letter, "travel", repr(way * factor), high[1], name)
+            settings.say(letter, "travel", repr(travel * factor), high[1], name)
     for keys in (axis, joint):
         if keys.get("WRAPPED_ROTARY", ("0", None))[0] not in ("", "0"):
             settings.axes[letter].wrapped = settings.turning[letter]
@@ -233,32 +237,42 @@ def _set_axis(settings: Settings, letter: str, axis: Keys, joint: Keys, factor: 
         )
 
 
-def _sized(text: str) -> float:
+def _number_or_negative(text: str) -> float:
     number = number_or_nan(text)
     return -1.0 if math.isnan(number) else number  # ``say`` refuses other texts
 
 
-def _end(key: str, *sections: Keys) -> tuple[str, Place] | None:
+def _first_of(key: str, *sections: Keys) -> tuple[str, Place] | None:
     return next((keys[key] for keys in sections if key in keys), None)
 
 
 def _path_limits(settings: Settings, traj: Mapping[str, tuple[str, Place]], length: float) -> None:
     """Apply the limit of path speed to axes with a higher limit."""
-    said = traj.get("MAX_LINEAR_VELOCITY", traj.get("MAX_VELOCITY"))
-    if said is None:
+    path_limit = traj.get("MAX_LINEAR_VELOCITY", traj.get("MAX_VELOCITY"))
+    if path_limit is None:
         return
-    most = number_or_nan(said[0]) * length * 60.0
+    path_rate = number_or_nan(path_limit[0]) * length * 60.0
     slower = [
         axis
-        for axis, own in settings.axes.items()
-        if not settings.turning[axis] and own.rate is not None and most < own.rate.value
+        for axis, axis_settings in settings.axes.items()
+        if not settings.turning[axis]
+        and axis_settings.rate is not None
+        and path_rate < axis_settings.rate.value
     ]
     for axis in slower:
         settings.axes[axis].rate = None
-        settings.say(axis, "rate", repr(most), said[1], "[TRAJ] MAX_LINEAR_VELOCITY", said[0])
+        settings.say(
+            axis,
+            "rate",
+            repr(path_rate),
+            path_limit[1],
+            "[TRAJ] MAX_LINEAR_VELOCITY",
+            path_limit[0],
+        )
     if slower:
         settings.notes.append(
-            f"{said[1]}: [TRAJ] limits the speed of the path to less than {', '.join(slower)} may "
+            f"{path_limit[1]}: [TRAJ] limits the speed of the path to less than "
+            f"{', '.join(slower)} may "
             "do alone, so it is the limit of each of them"
         )
 

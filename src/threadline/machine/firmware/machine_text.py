@@ -46,10 +46,10 @@ class Answers:
     @property
     def rotary(self) -> str:
         """Letters of the rotary axes; empty if there are none."""
-        said = self.given.get("rotary", "")
-        if said.lower() in _NONE:
+        answer = self.given.get("rotary", "")
+        if answer.lower() in _NONE:
             return ""
-        return "".join(c for c in said.upper() if c.isalpha())
+        return "".join(c for c in answer.upper() if c.isalpha())
 
     def of(self, name: str, axis: str) -> str | None:
         """Return the answer for an axis, else the answer for all axes, else None."""
@@ -69,10 +69,10 @@ def parse_answers(texts: Sequence[str]) -> Answers:
     for text in texts:
         name, equals, value = (part.strip() for part in text.partition("="))
         base, dot, axis = name.partition(".")
-        empty = not value and base != "rotary"
-        if not equals or empty or base not in known or (dot and base not in _OF_AN_AXIS):
-            close = difflib.get_close_matches(base, known, n=1)
-            hint = f"Did you mean {close[0]}? " if close and close[0] != base else ""
+        is_empty = not value and base != "rotary"
+        if not equals or is_empty or base not in known or (dot and base not in _OF_AN_AXIS):
+            similar = difflib.get_close_matches(base, known, n=1)
+            hint = f"Did you mean {similar[0]}? " if similar and similar[0] != base else ""
             raise OptionError(
                 f"--set {text[:60]!r} does not answer any question",
                 remedy=f'{hint}Write it like --set "mass=1.2 kg"; names: {", ".join(known)}.',
@@ -120,8 +120,8 @@ _TURNS = {
 }
 _OF_DYNAMICS = ("torque", "current", "resistance", "inductance", "supply", "mass", "inertia",
                 "rotor", "friction", "microsteps")  # fmt: skip
-_STRAIGHT = {"travel": "m", "rate": "m/s", "acceleration": "m/s^2", "steps": "count/m"}
-_TURNING = {"travel": "rad", "rate": "rad/s", "acceleration": "rad/s^2", "steps": "count/rad"}
+_LINEAR_UNITS = {"travel": "m", "rate": "m/s", "acceleration": "m/s^2", "steps": "count/m"}
+_ROTARY_UNITS = {"travel": "rad", "rate": "rad/s", "acceleration": "rad/s^2", "steps": "count/rad"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,21 +145,23 @@ class Missing:
 
 def missing_answers(settings: Settings, answers: Answers, *, limits_only: bool) -> list[Missing]:
     """Return the missing numbers, each once, in the order of the questions."""
-    found = dict.fromkeys(_missing(settings, answers, limits_only))
-    return [Missing(key, what, example) for key, (what, example) in found]
+    missing = dict.fromkeys(_missing(settings, answers, limits_only))
+    return [Missing(key, what, example) for key, (what, example) in missing]
 
 
-def _asked(missing: Sequence[Missing]) -> Iterator[str]:
+def _answer_forms(missing: Sequence[Missing]) -> Iterator[str]:
     """Yield the missing answers with examples; linear axes that lack the same share one answer."""
-    for one in missing:
-        base, _, axis = one.key.partition(".")
-        alike = [m for m in missing if m.key.startswith(f"{base}.") and m.example == one.example]
-        if axis and len(alike) > 1 and one.example == OPTIONAL[base][1]:
-            if one is alike[0]:
-                alone = f"{base}.{axis} is for {axis} alone"
-                yield f'--set "{base}={one.example}" ({one.what}; {alone})'
+    for number in missing:
+        base, _, axis = number.key.partition(".")
+        same_example = [
+            m for m in missing if m.key.startswith(f"{base}.") and m.example == number.example
+        ]
+        if axis and len(same_example) > 1 and number.example == OPTIONAL[base][1]:
+            if number is same_example[0]:
+                note = f"{base}.{axis} is for {axis} alone"
+                yield f'--set "{base}={number.example}" ({number.what}; {note})'
         else:
-            yield f'--set "{one.key}={one.example}" ({one.what})'
+            yield f'--set "{number.key}={number.example}" ({number.what})'
 
 
 def turning_axes(settings: Settings, answers: Answers) -> str:
@@ -203,15 +205,15 @@ def machine_text(
         )
     missing = missing_answers(settings, answers, limits_only=limits_only)
     if missing:
-        lighter = "" if limits_only else " Limits and time alone need no motors: --limits-only."
+        hint = "" if limits_only else " Limits and time alone need no motors: --limits-only."
         raise OptionError(
             f"{Place(settings.file)} does not give all numbers of the machine",
-            remedy=f"Add: {'; '.join(_asked(missing))}.{lighter}",
+            remedy=f"Add: {'; '.join(_answer_forms(missing))}.{hint}",
         )
-    driven = "with limits alone" if limits_only else "with steppers"
+    drive_text = "with limits alone" if limits_only else "with steppers"
     parts = [
         f'name = "{name}"',
-        f'title = "machine of {len(settings.axes)} axes {driven}, made from the settings of '
+        f'title = "machine of {len(settings.axes)} axes {drive_text}, made from the settings of '
         f'{settings.firmware}"',
         f'sources = ["settings of {settings.form or settings.firmware}; what they do not say, its '
         'owner"]',
@@ -226,10 +228,10 @@ def machine_text(
     parts += ["", *_planner(settings, turning)]
     if turning:
         parts += ["", "[tool]", f'radius = "{answers.of("radius", "")} exact, assumed: the owner"']
-    for axis, said in settings.axes.items():
+    for axis, axis_settings in settings.axes.items():
         turns = axis in turning
-        drive = _kinematic(axis) if limits_only else _stepper(axis, said, answers, turns)
-        parts += ["", *drive, "", *_limits_of(axis, said, settings, answers, turns)]
+        drive = _kinematic(axis) if limits_only else _stepper(axis, axis_settings, answers, turns)
+        parts += ["", *drive, "", *_limits_of(axis, axis_settings, settings, answers, turns)]
     return "\n".join(parts) + "\n"
 
 
@@ -242,11 +244,11 @@ def check_answers(settings: Settings, answers: Answers) -> None:
         If there is such an answer.
     """
     turning = turning_axes(settings, answers)
-    named = [key.partition(".")[2] for key in answers.given if "." in key]
-    wrong = [axis for axis in [*answers.rotary, *named] if axis not in settings.axes]
-    if wrong:
+    answer_axes = [key.partition(".")[2] for key in answers.given if "." in key]
+    unknown_axes = [axis for axis in [*answers.rotary, *answer_axes] if axis not in settings.axes]
+    if unknown_axes:
         raise OptionError(
-            f"the settings have no axis {wrong[0][:20]}",
+            f"the settings have no axis {unknown_axes[0][:20]}",
             remedy=f"They have {', '.join(settings.axes)}.",
         )
     for axis, turns in settings.turning.items():
@@ -266,7 +268,7 @@ def check_answers(settings: Settings, answers: Answers) -> None:
                 f"--set {key}={text[:40]!r}: axis {axis} turns without end, it has no travel",
                 remedy="Leave it out, or name the letters that do turn with rotary.",
             )
-        unit = _UNITS[base] if base in _UNITS else (_TURNING if turns else _STRAIGHT)[base]
+        unit = _UNITS[base] if base in _UNITS else (_ROTARY_UNITS if turns else _LINEAR_UNITS)[base]
         try:
             positive = parse_quantity(text, unit) > 0
         except UnitError as error:
@@ -301,17 +303,19 @@ def _missing(
     ]
     turning = turning_axes(settings, answers)
     if may_turn and "rotary" not in answers.given:
-        what, _ = QUESTIONS["rotary"]
+        quantity, _ = QUESTIONS["rotary"]
         turning += "".join(may_turn)  # as if rotary, so that the list of missing numbers is whole
-        yield "rotary", (what, turning)
+        yield "rotary", (quantity, turning)
     for axis, said in settings.axes.items():
         turns = axis in turning
         if not limits_only:
             yield from _missing_of_motor(axis, said, answers, turns)
-        for what in ("steps", "rate", "acceleration"):
-            own = answers.given.get(f"{what}.{axis}") if turns else answers.of(what, axis)
-            if getattr(said, what) is None and own is None:
-                yield f"{what}.{axis}", _TURNS[what] if turns else OPTIONAL[what]
+        for quantity in ("steps", "rate", "acceleration"):
+            answer = (
+                answers.given.get(f"{quantity}.{axis}") if turns else answers.of(quantity, axis)
+            )
+            if getattr(said, quantity) is None and answer is None:
+                yield f"{quantity}.{axis}", _TURNS[quantity] if turns else OPTIONAL[quantity]
         if not turns and said.travel is None and answers.of("travel", axis) is None:
             yield f"travel.{axis}", OPTIONAL["travel"]
     if turning and "radius" not in answers.given:
@@ -333,36 +337,36 @@ def _missing_of_motor(
 
 def _planner(settings: Settings, turning: str) -> Iterator[str]:
     """Yield the lines of [planner]."""
-    said = settings.planner
+    planner = settings.planner
     firmware = settings.firmware
     yield "[planner]"
     yield f'kind = "{_PLANNERS[firmware]}"'
-    jumps = {key: value for key, value in said.items() if key.startswith("jump.")}
+    jumps = {key: value for key, value in planner.items() if key.startswith("jump.")}
     if firmware == "reprapfirmware":
         _check_jumps(settings)
-    if firmware in _BY_JUMPS and jumps and "junction_deviation" not in said:
+    if firmware in _BY_JUMPS and jumps and "junction_deviation" not in planner:
         texts = (
             f'{key.removeprefix("jump.")} = "'
-            + _of_planner(value, f"{_unit(key[-1], turning)}/s", firmware)
+            + _planner_value(value, f"{_unit(key[-1], turning)}/s", firmware)
             + '"'
             for key, value in jumps.items()
             if key.removeprefix("jump.") in settings.axes
         )
         yield f"jump = {{ {', '.join(texts)} }}"
-    yield from (f"{key} = true" for key in _SWITCHES if key in said)
+    yield from (f"{key} = true" for key in _SWITCHES if key in planner)
     if settings.unheeded:
         texts = (f'"{_printable(text)}"' for text in settings.unheeded)
         yield f"left_out = [{', '.join(texts)}]"
-    alone = {key[-1]: value for key, value in said.items() if key.startswith("alone.")}
+    alone = {key[-1]: value for key, value in planner.items() if key.startswith("alone.")}
     if alone:
         texts = (
-            f'{axis} = "{_of_planner(value, f"{_unit(axis, turning)}/s^2", firmware)}"'
+            f'{axis} = "{_planner_value(value, f"{_unit(axis, turning)}/s^2", firmware)}"'
             for axis, value in alone.items()
         )
         yield f"alone = {{ {', '.join(texts)} }}"
     for key, unit in _PLANNER_KEYS[_PLANNERS[firmware]].items():
-        if key in said:
-            yield f'{key} = "{_of_planner(said[key], unit, firmware)}"'
+        if key in planner:
+            yield f'{key} = "{_planner_value(planner[key], unit, firmware)}"'
         elif firmware == "klipper":
             raise MachineError(
                 f"[printer] does not give {_KLIPPER_WORDS[key]}",
@@ -390,8 +394,8 @@ def _check_jumps(settings: Settings) -> None:
             )
 
 
-def _of_planner(said: SettingValue, unit: str, firmware: str) -> str:
-    return f"{said.value!r} {unit}".rstrip() + f" exact, {_source(said, firmware)}"
+def _planner_value(setting: SettingValue, unit: str, firmware: str) -> str:
+    return f"{setting.value!r} {unit}".rstrip() + f" exact, {_source(setting, firmware)}"
 
 
 def _source(said: SettingValue, firmware: str) -> str:
@@ -413,13 +417,13 @@ def _stepper(axis: str, said: AxisSettings, answers: Answers, turns: bool) -> It
     # A turn of the motor moves the axis by full steps x microsteps / steps, in mm or degrees.
     per_turn = _FULL_STEPS * micro / steps
     lever = (math.radians(per_turn) if turns else per_turn / 1e3) / (2.0 * math.pi)
-    moved = _number(answers, "inertia" if turns else "mass", axis)
+    load_si = _number(answers, "inertia" if turns else "mass", axis)
     rotor_text = answers.of("rotor", axis) or DEFAULTS["rotor"]
-    inertia = parse_quantity(rotor_text, "kg*m^2") + moved * lever**2
+    inertia = parse_quantity(rotor_text, "kg*m^2") + load_si * lever**2
     friction = answers.of("friction", axis) or DEFAULTS["friction"]
-    low = axis.lower()
+    body_name = axis.lower()
     load = answers.of("inertia" if turns else "mass", axis)
-    yield f"[bodies.{low}]"
+    yield f"[bodies.{body_name}]"
     yield 'kind = "rotary"'
     yield (
         f'inertia = "{inertia:.6g} kg m^2 +- 20 %, checked: rotor {rotor_text} and {load} at '
@@ -427,9 +431,9 @@ def _stepper(axis: str, said: AxisSettings, answers: Answers, turns: bool) -> It
     )
     yield f'friction = "{friction} +- 50 %, assumed"'
     yield ""
-    yield f"[drives.{low}]"
+    yield f"[drives.{body_name}]"
     yield 'kind = "stepper"'
-    yield f'body = "{low}"'
+    yield f'body = "{body_name}"'
     yield 'clock = "pulse"'
     yield f'full_steps = "{_FULL_STEPS} count/rev exact, assumed: 1.8 deg"'
     yield f'microsteps = "{micro:g} exact, assumed: set in the driver"'
@@ -447,41 +451,41 @@ def _steps(axis: str, said: AxisSettings, answers: Answers, turns: bool) -> floa
     """Return the steps of an axis per mm or degree."""
     if said.steps is not None:
         return said.steps.value
-    own = answers.given.get(f"steps.{axis}") if turns else answers.of("steps", axis)
+    answer = answers.given.get(f"steps.{axis}") if turns else answers.of("steps", axis)
     if turns:
-        return parse_quantity(own or "", "count/rad") * math.radians(1.0)
-    return parse_quantity(own or "", "count/m") / 1e3
+        return parse_quantity(answer or "", "count/rad") * math.radians(1.0)
+    return parse_quantity(answer or "", "count/m") / 1e3
 
 
 def _limits_of(
-    axis: str, said: AxisSettings, settings: Settings, answers: Answers, turns: bool
+    axis: str, limits: AxisSettings, settings: Settings, answers: Answers, turns: bool
 ) -> Iterator[str]:
     unit = "deg" if turns else "mm"
-    of = settings.firmware
-    steps = _limit(said.steps, answers, "steps", axis, f"count/{unit}", of)
+    origin = settings.firmware
+    steps = _limit(limits.steps, answers, "steps", axis, f"count/{unit}", origin)
     yield f"[axes.{axis}]"
     yield f'kind = "{"rotary" if turns else "linear"}"'
     yield f'drive = "{axis.lower()}"'
     yield f'counts = "{steps}"'
-    yield f'velocity = "{_limit(said.rate, answers, "rate", axis, f"{unit}/min", of)}"'
+    yield f'velocity = "{_limit(limits.rate, answers, "rate", axis, f"{unit}/min", origin)}"'
     yield (
         f'acceleration = "'
-        f'{_limit(said.acceleration, answers, "acceleration", axis, f"{unit}/s^2", of)}"'
+        f'{_limit(limits.acceleration, answers, "acceleration", axis, f"{unit}/s^2", origin)}"'
     )
     if turns:
         yield "endless = true"
-        if said.wrapped:
+        if limits.wrapped:
             yield "wrapped = true"
         return
-    way = answers.of("travel", axis)
-    if said.travel is not None:
-        way = f"{said.travel.value!r} mm"
+    travel = answers.of("travel", axis)
+    if limits.travel is not None:
+        travel = f"{limits.travel.value!r} mm"
     # A job may begin anywhere between the ends, so it may move by at most the full stroke.
     yield (
-        f'travel = ["-{way} exact, assumed: no further than from end to end", '
-        f'"{way} exact, assumed: likewise"]'
+        f'travel = ["-{travel} exact, assumed: no further than from end to end", '
+        f'"{travel} exact, assumed: likewise"]'
     )
-    yield f'stroke = "{way} exact, assumed: from end to end, wherever a job begins"'
+    yield f'stroke = "{travel} exact, assumed: from end to end, wherever a job begins"'
 
 
 def _limit(

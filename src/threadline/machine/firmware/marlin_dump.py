@@ -96,13 +96,13 @@ def read_marlin(lines: Sequence[str], file: str) -> Settings:
     settings = Settings("marlin", file)
     evidence = _Evidence()
     sayings: list[DumpSetting] = []
-    besides: dict[tuple[int, str], Place] = {}
-    shown = pasted(lines)
-    settings.notes += [shown.note] if shown.note else []
-    for line in dump_lines(shown.lines, file):
+    other_commands: dict[tuple[int, str], Place] = {}
+    terminal = pasted(lines)
+    settings.notes += [terminal.note] if terminal.note else []
+    for line in dump_lines(terminal.lines, file):
         match = _CODE.match(line.text)
         if match is None:
-            _prose(line.text, line.place, evidence)
+            _take_evidence(line.text, line.place, evidence)
             continue
         code = int(match[2])
         if match[1] == "G" and code == 20:
@@ -113,16 +113,16 @@ def read_marlin(lines: Sequence[str], file: str) -> Settings:
         if code in _LIMITS and not (words and _COMMENT.match(rest)):
             raise unknown(line.text, line.place, "echo:  M92 X80.00 Y80.00")
         if code in _HEEDED:
-            besides[code, match[3].split(";", 1)[0].strip()] = line.place
+            other_commands[code, match[3].split(";", 1)[0].strip()] = line.place
         elif evidence.stealth and code in (203, 201):
             settings.notes.append(f"{line.place}: M{code} of the stealth mode is not read")
         else:
             sayings += _sayings(code, words, line.place, evidence)
     kept, note = in_force(sayings, lambda a, b: number_or_nan(a) == number_or_nan(b))
     settings.notes += [note] if note else []
-    for (code, text), place in besides.items():
+    for (code, text), place in other_commands.items():
         if not note or place.line > kept[0].place.line:  # in the valid dump
-            _heed(settings, code, text, place)
+            _note_other(settings, code, text, place)
     _interpret(settings, evidence, kept)
     settings.notes.append(
         "assumed one motor per axis: M503 does not tell whether the machine is a CoreXY"
@@ -130,25 +130,25 @@ def read_marlin(lines: Sequence[str], file: str) -> Settings:
     return settings
 
 
-def _prose(text: str, place: Place, evidence: _Evidence) -> None:
+def _take_evidence(text: str, place: Place, evidence: _Evidence) -> None:
     """Take evidence from a line that is not a command; refuse a command in the middle of a line."""
-    bare = re.split(r"[;#]", text, maxsplit=1)[0]
-    if _COUNTS.search(bare) is not None and not text.lower().startswith("unknown command"):
+    code_text = re.split(r"[;#]", text, maxsplit=1)[0]
+    if _COUNTS.search(code_text) is not None and not text.lower().startswith("unknown command"):
         raise unknown(text, place, "echo:  M92 X80.00 Y80.00, with nothing before the M")
     evidence.note(text.lower(), place)
 
 
 def _words(text: str) -> tuple[dict[str, str], str]:
     """Return the words of a command (repeated letters get an apostrophe) and the rest."""
-    found: dict[str, str] = {}
-    at = 0
-    while (match := _WORD.match(text, at)) is not None:
+    words: dict[str, str] = {}
+    position = 0
+    while (match := _WORD.match(text, position)) is not None:
         letter = match[1]
-        while letter in found:  # keeps two values of a letter apart
+        while letter in words:  # keeps two values of a letter apart
             letter += "'"
-        found[letter] = match[2]
-        at = match.end()
-    return found, text[at:]
+        words[letter] = match[2]
+        position = match.end()
+    return words, text[position:]
 
 
 def _sayings(
@@ -175,7 +175,7 @@ def _sayings(
 
 def _interpret(settings: Settings, evidence: _Evidence, kept: Sequence[DumpSetting]) -> None:
     """Set the axis and planner settings, according to the form of the dump."""
-    keys = {one.key for one in kept}
+    keys = {setting.key for setting in kept}
     doubtful = "M204 S" in keys and "M204 T" in keys and not (evidence.first or evidence.later)
     if evidence.kimbra:
         form = KIMBRA
@@ -188,65 +188,76 @@ def _interpret(settings: Settings, evidence: _Evidence, kept: Sequence[DumpSetti
         settings.notes.append(
             "M204 S T is read as in Marlin 1.0: S acceleration, T acceleration of retracting"
         )
-    tells = {FIRST: "S", KIMBRA: "V", LATER: "T"}
-    travel = {tells[form]} | ({"S"} if form == LATER and "M204 T" not in keys else set())
+    travel_letters = {FIRST: "S", KIMBRA: "V", LATER: "T"}
+    travel = {travel_letters[form]} | ({"S"} if form == LATER and "M204 T" not in keys else set())
     slowest = {FIRST: "T", KIMBRA: "V", LATER: "T"}[form]
     segment = "Q" if "M205 Q" in keys else "B"
     ends: dict[str, dict[str, tuple[str, Place]]] = {}
-    for one in kept:
-        code, letter = int(one.key[1:].split()[0]), one.key[-1]
+    for setting in kept:
+        code, letter = int(setting.key[1:].split()[0]), setting.key[-1]
         if code in _OF_AXES and letter in _LETTERS:
-            written = times(one.text, 60.0) if code == 203 else one.text  # mm/s there
-            settings.say(letter, _OF_AXES[code], written, one.place, one.key, one.text)
+            written = times(setting.text, 60.0) if code == 203 else setting.text  # mm/s there
+            settings.say(letter, _OF_AXES[code], written, setting.place, setting.key, setting.text)
         elif code in _ENDS and letter in _LETTERS:
-            ends.setdefault(letter, {})[_ENDS[code]] = one.text, one.place
-        elif code == 201 and letter == "F" and number_or_nan(one.text) != 0.0:
-            settings.leave_out(one.key, "slows X and Y in short zigzags (frequency)", one.place)
-        elif code == 205 and letter == "S" and number_or_nan(one.text) != 0.0:
-            settings.notes.append(f"{one.place}: M205 S{one.text}: only for moves with extrusion")
+            ends.setdefault(letter, {})[_ENDS[code]] = setting.text, setting.place
+        elif code == 201 and letter == "F" and number_or_nan(setting.text) != 0.0:
+            settings.leave_out(
+                setting.key, "slows X and Y in short zigzags (frequency)", setting.place
+            )
+        elif code == 205 and letter == "S" and number_or_nan(setting.text) != 0.0:
+            settings.notes.append(
+                f"{setting.place}: M205 S{setting.text}: only for moves with extrusion"
+            )
         elif code == 204 and letter in travel:
-            settings.set_planner("acceleration", one.text, one.place, one.key, zero=False)
+            settings.set_planner(
+                "acceleration", setting.text, setting.place, setting.key, zero=False
+            )
         elif code == 205 and letter == "J":
-            settings.set_planner("junction_deviation", one.text, one.place, one.key)
+            settings.set_planner("junction_deviation", setting.text, setting.place, setting.key)
         elif code == 205 and letter == slowest:
-            if number_or_nan(one.text) != 0.0:
-                settings.set_planner("least_speed", one.text, one.place, one.key)
+            if number_or_nan(setting.text) != 0.0:
+                settings.set_planner("least_speed", setting.text, setting.place, setting.key)
         elif code == 205 and letter == segment:
-            if number_or_nan(one.text) != _SEGMENT_US:
+            if number_or_nan(setting.text) != _SEGMENT_US:
                 settings.set_planner(
-                    "short_time", times(one.text, 1e-3), one.place, one.key, typed=one.text
+                    "short_time",
+                    times(setting.text, 1e-3),
+                    setting.place,
+                    setting.key,
+                    typed=setting.text,
                 )
         elif code == 205 and letter in _LETTERS:
-            settings.set_planner(f"jump.{letter}", one.text, one.place, one.key)
-    for letter, found in ends.items():
-        if letter in settings.axes and len(found) == 2:
-            text, place = found["high"]
-            way = number_or_nan(text) - number_or_nan(found["low"][0])
+            settings.set_planner(f"jump.{letter}", setting.text, setting.place, setting.key)
+    for letter, axis_ends in ends.items():
+        if letter in settings.axes and len(axis_ends) == 2:
+            text, place = axis_ends["high"]
+            way = number_or_nan(text) - number_or_nan(axis_ends["low"][0])
             settings.say(letter, "travel", repr(way), place, f"M211 {letter}", text)
     if "acceleration" not in settings.planner and "M204 P" in keys:
         settings.notes.append(
-            f"M204 {tells[form]} is missing: moves without extrusion are limited only by M201"
+            f"M204 {travel_letters[form]} is missing: moves without extrusion are limited only "
+            "by M201"
         )
     _corners(settings, evidence, form, keys)
 
 
 def _corners(settings: Settings, evidence: _Evidence, form: str, keys: set[str]) -> None:
     """Give every axis its jerk, if corner speed is limited by jerk."""
-    said = settings.planner
-    by_jerk = any(key.startswith("jump.") for key in said)
-    if "junction_deviation" in said or (not by_jerk and form == LATER):
-        _bounds(settings, evidence)
+    planner = settings.planner
+    by_jerk = any(key.startswith("jump.") for key in planner)
+    if "junction_deviation" in planner or (not by_jerk and form == LATER):
+        _set_corner_axes(settings, evidence)
         return  # cornering is by junction deviation, with its default if no value is given
-    whole = evidence.of_both or form == FIRST or "M205 Z" in keys
-    if "jump.X" in said and "jump.Y" not in said and "Y" in settings.axes and whole:
-        said["jump.Y"] = said["jump.X"]
+    common_jerk = evidence.of_both or form == FIRST or "M205 Z" in keys
+    if "jump.X" in planner and "jump.Y" not in planner and "Y" in settings.axes and common_jerk:
+        planner["jump.Y"] = planner["jump.X"]
         settings.notes.append(
-            f"{said['jump.X'].place}: M205 X is the common jerk of X and Y; here each axis has "
+            f"{planner['jump.X'].place}: M205 X is the common jerk of X and Y; here each axis has "
             "it alone, so a diagonal corner may be planned faster than on the machine"
         )
     for axis in settings.axes:
         default = _DEFAULT_JERK.get(form, _LATER_JERK).get(axis)
-        if f"jump.{axis}" in said:
+        if f"jump.{axis}" in planner:
             continue
         if default is None:
             raise MachineError(
@@ -258,7 +269,7 @@ def _corners(settings: Settings, evidence: _Evidence, form: str, keys: set[str])
         settings.notes.append(f"no jerk of {axis}: {default} mm/s, the default of {form}")
 
 
-def _bounds(settings: Settings, evidence: _Evidence) -> None:
+def _set_corner_axes(settings: Settings, evidence: _Evidence) -> None:
     """Set whether the acceleration of each axis bounds the speed through a corner."""
     if evidence.version is None:
         settings.notes.append(
@@ -271,24 +282,24 @@ def _bounds(settings: Settings, evidence: _Evidence) -> None:
         settings.set_planner("corner_axes", "1", place, "Marlin " + ".".join(map(str, version)))
 
 
-def _heed(settings: Settings, code: int, text: str, place: Place) -> None:
+def _note_other(settings: Settings, code: int, text: str, place: Place) -> None:
     """Refuse kinematics that move several axes; record other settings that change the motion."""
     words = dict(re.findall(r"([A-Z])(-?[\d.]*)", text))
-    on = {letter for letter, number in words.items() if number_or_nan(number) != 0.0}
+    letters_set = {letter for letter, number in words.items() if number_or_nan(number) != 0.0}
     command = f"M{code} " + " ".join(f"{letter}{number}" for letter, number in words.items())
     if code == 665:  # only delta and SCARA machines have it
         settings.refuse_kinematics("M665", place)
-    elif code == 852 and on & set("IJKS"):
+    elif code == 852 and letters_set & set("IJKS"):
         settings.leave_out(command, "moves an axis in proportion to another (skew)", place)
-    elif code == 425 and "F" in on and on - set("FS"):
+    elif code == 425 and "F" in letters_set and letters_set - set("FS"):
         settings.leave_out(command, "adds a motion of the motor at reversals (backlash)", place)
-    elif code == 420 and "S" in on:
+    elif code == 420 and "S" in letters_set:
         settings.leave_out(command, "moves Z by the mesh of the bed", place)
-    elif code == 493 and "S" in on:
+    elif code == 493 and "S" in letters_set:
         settings.leave_out(command, "shapes the motion (fixed-time motion)", place)
-    elif code == 593 and "F" in on:
+    elif code == 593 and "F" in letters_set:
         settings.shapes("M593", place)
-    elif code in (206, 666) and on:
+    elif code in (206, 666) and letters_set:
         settings.notes.append(
             f"{place}: {command} shifts zero after homing and does not change the motion of a job"
         )

@@ -76,35 +76,39 @@ def read_printer_cfg(lines: Sequence[str], file: str) -> Settings:
         limits that apply to axes.
     """
     settings = Settings("klipper", file)
-    read = _sections(_logged(lines), file, settings)
+    read = _sections(_last_logged(lines), file, settings)
     sections = read.sections
-    whole = Place(file)
+    file_place = Place(file)
     printer = sections.get("printer", {})
-    kinematics, at = printer.get("kinematics", ("cartesian", whole))
+    kinematics, place_of_kinematics = printer.get("kinematics", ("cartesian", file_place))
     if kinematics in _COUPLED:
         settings.coupled = f"kinematics: {kinematics}"
-        settings.notes.append(f"{at}: {settings.coupled}: its limits apply to X, Y and Z")
+        settings.notes.append(
+            f"{place_of_kinematics}: {settings.coupled}: its limits apply to X, Y and Z"
+        )
     elif kinematics not in ("cartesian", "none"):
-        settings.refuse_kinematics(f"kinematics: {kinematics}", at)
+        settings.refuse_kinematics(f"kinematics: {kinematics}", place_of_kinematics)
     noted: set[str] = set()
     for name, keys in sections.items():
         kind = name.split()[0]
-        does = None if kind in noted else _CHANGES_MOTION.get(kind)
-        if does is not None and (kind != "input_shaper" or _shapes(keys)):
+        effect = None if kind in noted else _CHANGES_MOTION.get(kind)
+        if effect is not None and (kind != "input_shaper" or _shapes(keys)):
             noted.add(kind)
-            first = min((place for _, place in keys.values()), key=lambda p: p.line, default=whole)
-            settings.leave_out(f"[{name}]", does, first)
-    for key, ours in _PRINTER.items():
+            first = min(
+                (place for _, place in keys.values()), key=lambda p: p.line, default=file_place
+            )
+            settings.leave_out(f"[{name}]", effect, first)
+    for key, planner_key in _PRINTER.items():
         if key in printer:
             text, place = printer[key]
-            settings.set_planner(ours, text, place, f"[printer] {key}")
+            settings.set_planner(planner_key, text, place, f"[printer] {key}")
     _braking(settings, printer)
     for name, keys in sections.items():
-        found = re.match(r"stepper_([a-z])$", name)
-        if found is not None and found[1].upper() in _LETTERS:
-            _from_kinematics(settings, found[1].upper(), keys, name, printer)
+        match = re.match(r"stepper_([a-z])$", name)
+        if match is not None and match[1].upper() in _LETTERS:
+            _from_kinematics(settings, match[1].upper(), keys, name, printer)
         elif name.startswith("manual_stepper "):
-            _beside(settings, name, keys, read)
+            _from_manual_stepper(settings, name, keys, read)
     return settings
 
 
@@ -121,11 +125,11 @@ def _braking(settings: Settings, printer: Keys) -> None:
         return
     text, place = printer["max_accel_to_decel"]
     name = "[printer] max_accel_to_decel"
-    slow = settings.number(text, place, name)
-    most = settings.planner.get("acceleration")
-    if most is None:
+    decel = settings.number(text, place, name)
+    max_accel = settings.planner.get("acceleration")
+    if max_accel is None:
         return  # without max_accel the file is incomplete
-    ratio = 1.0 - min(1.0, slow / most.value)
+    ratio = 1.0 - min(1.0, decel / max_accel.value)
     settings.set_planner("minimum_cruise_ratio", repr(ratio), place, name, typed=text)
     settings.notes.append(
         f"{place}: max_accel_to_decel is deprecated; used minimum_cruise_ratio = 1 - "
@@ -133,15 +137,17 @@ def _braking(settings: Settings, printer: Keys) -> None:
     )
 
 
-def _logged(lines: Sequence[str]) -> Sequence[str]:
+def _last_logged(lines: Sequence[str]) -> Sequence[str]:
     """Return the lines of the last configuration in a ``klippy.log``; all lines of other files."""
-    begins = [at for at, line in enumerate(lines) if _LOG.match(line)]
+    begins = [row for row, line in enumerate(lines) if _LOG.match(line)]
     if not begins:
         return lines
-    shown = list(lines)
-    end = next((at for at in range(begins[-1] + 1, len(lines)) if re.match(r"={10}", lines[at])), 0)
-    shown[: begins[-1] + 1] = [""] * (begins[-1] + 1)  # lines keep their numbers
-    return shown[:end] if end else shown
+    log_lines = list(lines)
+    end = next(
+        (row for row in range(begins[-1] + 1, len(lines)) if re.match(r"={10}", lines[row])), 0
+    )
+    log_lines[: begins[-1] + 1] = [""] * (begins[-1] + 1)  # lines keep their numbers
+    return log_lines[:end] if end else log_lines
 
 
 def _sections(lines: Sequence[str], file: str, settings: Settings) -> _File:
@@ -151,15 +157,15 @@ def _sections(lines: Sequence[str], file: str, settings: Settings) -> _File:
 
 
 def _take_lines(
-    lines: Sequence[str], file: str, settings: Settings, read: _File, within: tuple[Path, ...]
+    lines: Sequence[str], file: str, settings: Settings, read: _File, open_files: tuple[Path, ...]
 ) -> None:
     section: Keys | None = None
     key, margin = "", 0  # the key of the line before, and the blanks before it
-    for number, whole in enumerate(lines, start=1):
+    for number, raw_line in enumerate(lines, start=1):
         place = Place(file, number)
         # Lines that SAVE_CONFIG added are valid; elsewhere their mark would make them comments.
-        saved = whole.startswith("#*#")
-        line = whole.removeprefix("#*#").strip() if saved else whole
+        saved = raw_line.startswith("#*#")
+        line = raw_line.removeprefix("#*#").strip() if saved else raw_line
         code = _COMMENT.sub("", line).rstrip()
         if not code.strip():
             continue
@@ -170,9 +176,9 @@ def _take_lines(
         if header is not None:
             key, name = "", " ".join(header[1].split())
             if name.startswith("include "):
-                for path in _included(name.removeprefix("include "), place, settings, within):
+                for path in _included(name.removeprefix("include "), place, settings, open_files):
                     text = read_text(path, _MOST_BYTES, MachineError, "file of settings")
-                    _take_lines(text.splitlines(), str(path), settings, read, (*within, path))
+                    _take_lines(text.splitlines(), str(path), settings, read, (*open_files, path))
                 section = None
                 continue
             section = read.sections.setdefault(name, {})
@@ -195,16 +201,16 @@ def _take_lines(
 
 
 def _included(
-    pattern: str, place: Place, settings: Settings, within: tuple[Path, ...]
+    pattern: str, place: Place, settings: Settings, open_files: tuple[Path, ...]
 ) -> Iterator[Path]:
     """Yield the files of ``[include pattern]`` in this folder or below; note a missing file."""
-    found = files_beside(pattern, within[-1].parent)
-    if not found:
+    paths = files_beside(pattern, open_files[-1].parent)
+    if not paths:
         settings.notes.append(
             f"{place}: [include {pattern}] is not read: no such file beside this one"
         )
-    for path in found:
-        if path in within:
+    for path in paths:
+        if path in open_files:
             raise MachineError(
                 f"[include {pattern}] includes its own file",
                 place=place,
@@ -238,17 +244,17 @@ def _from_kinematics(
     settings: Settings, axis: str, keys: Keys, section: str, printer: Keys
 ) -> None:
     _steps(settings, axis, keys, section)
-    slow = "z_" if axis == "Z" and "max_z_velocity" in printer else ""
-    for key, what, factor in (
-        (f"max_{slow}velocity", "rate", 60.0),
-        (f"max_{slow}accel", "acceleration", 1.0),
+    prefix = "z_" if axis == "Z" and "max_z_velocity" in printer else ""
+    for key, quantity, factor in (
+        (f"max_{prefix}velocity", "rate", 60.0),
+        (f"max_{prefix}accel", "acceleration", 1.0),
     ):
         if key in printer:
             text, place = printer[key]
-            settings.say(axis, what, times(text, factor), place, f"[printer] {key}", text)
+            settings.say(axis, quantity, times(text, factor), place, f"[printer] {key}", text)
 
 
-def _beside(settings: Settings, section: str, keys: Keys, read: _File) -> None:
+def _from_manual_stepper(settings: Settings, section: str, keys: Keys, read: _File) -> None:
     """Read a [manual_stepper] as an axis, named by its MANUAL_STEPPER command, else by its name.
 
     Its ``velocity`` applies only to MANUAL_STEPPER MOVE; ``accel`` applies to moves without X, Y
@@ -256,7 +262,9 @@ def _beside(settings: Settings, section: str, keys: Keys, read: _File) -> None:
     """
     name = section.partition(" ")[2].upper()
     line = min(
-        (at for _, at in keys.values()), key=lambda at: at.line, default=Place(settings.file)
+        (other_place for _, other_place in keys.values()),
+        key=lambda other_place: other_place.line,
+        default=Place(settings.file),
     )
     commands = read.axes.get(name, [])
     axis = commands[0][0]["GCODE_AXIS"] if commands else name
@@ -279,15 +287,16 @@ def _beside(settings: Settings, section: str, keys: Keys, read: _File) -> None:
             f"{line}: [{section}] is read as the axis {axis}, assuming "
             f"MANUAL_STEPPER STEPPER={name.lower()} GCODE_AXIS={axis}"
         )
-    own = commands[0][1] if commands else line
+    place = commands[0][1] if commands else line
     if axis in read.taken:
-        other, at = read.taken[axis]
+        other_stepper, other_place = read.taken[axis]
         raise MachineError(
-            f"{name.lower()} is the axis {axis} here, and {other} on line {at.line}",
-            place=own,
+            f"{name.lower()} is the axis {axis} here, and {other_stepper} on line "
+            f"{other_place.line}",
+            place=place,
             remedy="Give one of them another letter.",
         )
-    read.taken[axis] = name.lower(), own
+    read.taken[axis] = name.lower(), place
     _steps(settings, axis, keys, section)
     if "accel" in keys:
         text, number = keys["accel"]
@@ -301,9 +310,9 @@ def _beside(settings: Settings, section: str, keys: Keys, read: _File) -> None:
                 place=number,
                 remedy="Keep one of them.",
             )
-        for word, (what, factor) in _OF_AXIS.items():
+        for word, (quantity, factor) in _OF_AXIS.items():
             if word in words:
-                settings.say(axis, what, times(words[word], factor), number, word, words[word])
+                settings.say(axis, quantity, times(words[word], factor), number, word, words[word])
         jump = words.get("INSTANTANEOUS_CORNER_VELOCITY")
         if jump is not None:
             name_of_it = "INSTANTANEOUS_CORNER_VELOCITY"
@@ -329,15 +338,15 @@ def _steps(settings: Settings, axis: str, keys: Keys, section: str) -> None:
         typed, line = keys["rotation_distance"]
         distance = settings.number(typed, line, f"[{section}] rotation_distance")
         micro = settings.number(*keys["microsteps"], f"[{section}] microsteps")
-        whole = keys.get("full_steps_per_rotation", ("200", Place(settings.file)))
-        full = settings.number(*whole, f"[{section}] full_steps_per_rotation")
+        full_steps_text = keys.get("full_steps_per_rotation", ("200", Place(settings.file)))
+        full_steps = settings.number(*full_steps_text, f"[{section}] full_steps_per_rotation")
         if micro != int(micro):
             raise MachineError(
                 f"[{section}] microsteps is {keys['microsteps'][0]!r}; it must be a whole number",
                 place=keys["microsteps"][1],
                 remedy="Write it like microsteps: 16.",
             )
-        steps = full * micro * ratio / distance
+        steps = full_steps * micro * ratio / distance
         if not _LEAST_STEPS <= steps <= _MOST_STEPS:
             raise MachineError(
                 f"[{section}] rotation_distance is {typed!r} at microsteps "
@@ -353,7 +362,7 @@ def _steps(settings: Settings, axis: str, keys: Keys, section: str) -> None:
         steps = 1.0 / settings.number(typed, line, f"[{section}] step_distance")
         settings.say(axis, "steps", repr(steps), line, f"[{section}] step_distance", typed)
     if "position_max" in keys:
-        way = number("position_max", "200") - number("position_min", "0")
+        travel = number("position_max", "200") - number("position_min", "0")
         settings.say(
-            axis, "travel", repr(way), keys["position_max"][1], f"[{section}] position_max"
+            axis, "travel", repr(travel), keys["position_max"][1], f"[{section}] position_max"
         )

@@ -24,8 +24,8 @@ _DEFAULTS = {
     "reprapfirmware": {"policy": "0"},
 }
 _ABSENT = "is not read: no such file beside this one"
-_UTF8, _OLD = "utf-8-sig", "latin-1"
-_WIDE = (b"\xff\xfe", b"\xfe\xff")  # byte order marks of UTF-16, as some senders save logs
+_UTF8, _LATIN1 = "utf-8-sig", "latin-1"
+_UTF16_MARKS = (b"\xff\xfe", b"\xfe\xff")  # byte order marks of UTF-16, as some senders save logs
 
 
 def read_settings(path: str | Path, firmware: str = "") -> Settings:
@@ -49,13 +49,13 @@ def read_settings(path: str | Path, firmware: str = "") -> Settings:
     path = Path(path)
     encoding = _encoding(path)
     text = read_text(path, _MOST_BYTES, MachineError, "settings file", encoding)
-    of_terminal = text.splitlines()
-    of_file = file_lines(of_terminal)
-    for belongs, read in _READERS:
-        lines = of_terminal if belongs in (is_grbl, is_marlin) else of_file
-        if belongs(lines):
+    terminal_lines = text.splitlines()
+    settings_lines = file_lines(terminal_lines)
+    for is_of_firmware, read in _READERS:
+        lines = terminal_lines if is_of_firmware in (is_grbl, is_marlin) else settings_lines
+        if is_of_firmware(lines):
             if read is read_marlin and firmware == "reprapfirmware":
-                settings = read_config_g(of_file, str(path))
+                settings = read_config_g(settings_lines, str(path))
             else:
                 settings = read(lines, str(path))
             if not settings.axes:
@@ -68,14 +68,16 @@ def read_settings(path: str | Path, firmware: str = "") -> Settings:
                     if absent
                     else "Give the complete list of the firmware.",
                 )
-            _assume(settings)
-            if encoding == _OLD:
+            _fill_defaults(settings)
+            if encoding == _LATIN1:
                 settings.notes.append("the file is not UTF-8 text and is read as Latin-1")
             # An included file may name Z first; a machine file begins with X.
             order = sorted(settings.axes, key=lambda axis: f"XYZ{axis}".index(axis))
             settings.axes = {axis: settings.axes[axis] for axis in order}
             return settings
-    eeprom = next((at for at, line in enumerate(of_terminal, 1) if "EPR:" in line), 0)
+    eeprom = next(
+        (line_number for line_number, line in enumerate(terminal_lines, 1) if "EPR:" in line), 0
+    )
     if eeprom:
         raise MachineError(
             "EPR: lines belong to Repetier-Firmware, whose planner Threadline does not know",
@@ -90,7 +92,7 @@ def read_settings(path: str | Path, firmware: str = "") -> Settings:
     )
 
 
-def _assume(settings: Settings) -> None:
+def _fill_defaults(settings: Settings) -> None:
     """Fill in missing planner settings with the firmware's defaults."""
     by_jerk = any(key.startswith("jump.") for key in settings.planner)
     for key, number in _DEFAULTS.get(settings.firmware, {}).items():
@@ -105,26 +107,26 @@ def _encoding(path: Path) -> str:
         return _UTF8
     try:
         with path.open("rb") as file:
-            begin = file.read(_MOST_BYTES + 1)
+            first_bytes = file.read(_MOST_BYTES + 1)
     except OSError:
         return _UTF8
-    if begin[:2] in _WIDE:
+    if first_bytes[:2] in _UTF16_MARKS:
         return "utf-16"
-    if len(begin) > _MOST_BYTES:  # the reader refuses it
+    if len(first_bytes) > _MOST_BYTES:  # the reader refuses it
         return _UTF8
-    if b"\0" in begin:
-        return _wide_without_mark(begin)
+    if b"\0" in first_bytes:
+        return _wide_without_mark(first_bytes)
     try:
-        begin.decode(_UTF8)
+        first_bytes.decode(_UTF8)
     except UnicodeDecodeError:
-        return _OLD
+        return _LATIN1
     return _UTF8
 
 
-def _wide_without_mark(begin: bytes) -> str:
+def _wide_without_mark(first_bytes: bytes) -> str:
     """Return the encoding of text with zero bytes: UTF-16 if every other byte is zero."""
     for name, high in (("utf-16-le", 1), ("utf-16-be", 0)):
-        if not any(begin[high::2]) and all(begin[1 - high :: 2]):
+        if not any(first_bytes[high::2]) and all(first_bytes[1 - high :: 2]):
             return name
     return _UTF8  # the reader refuses it
 
