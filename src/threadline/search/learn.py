@@ -160,7 +160,7 @@ class Learner:
             All runs so far, in order; at least one.
         """
         best_index, gain = best_of(
-            [(learning_filter.passed, learning_filter.error_m) for learning_filter in runs],
+            [(run.passed, run.error_m) for run in runs],
             self.rules.gain,
         )
         best = runs[best_index]
