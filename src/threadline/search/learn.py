@@ -168,7 +168,7 @@ class Learner:
             return best.offset, 0.0, "the best table is kept"
         columns = zip(self.filters, best.error.T, self._scale, strict=True)
         change = np.stack(
-            [learning_filter.change(error) * scale for learning_filter, error, scale in columns],
+            [axis_filter.change(error) * scale for axis_filter, error, scale in columns],
             axis=1,
         )
         change[0] = change[-1] = 0.0
