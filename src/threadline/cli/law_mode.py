@@ -197,7 +197,7 @@ def _report(
     from threadline.report.laws import Curve, ResidualPlot, write_laws
 
     curves = [Curve(ringing_law.law, move.window_s) for ringing_law in found[:_DRAWN]]
-    if all(ringing_law.law.name != COPIED for ringing_law in curves) and len(laws) > 1:
+    if all(curve.law.name != COPIED for curve in curves) and len(laws) > 1:
         curves[-1] = Curve(LAWS[COPIED], move.window_s)
     if made is not None:
         curves.insert(0, Curve(made.law, made.window_s))
@@ -300,7 +300,7 @@ def _made_table(made: MadeLaw, shaped: Sequence[ShapedWindow], found: Sequence[R
                 "law and shaper, same band",
             ]
         )
-    settling = [shaped_window for shaped_window in found if shaped_window.window_s is not None]
+    settling = [ranked for ranked in found if ranked.window_s is not None]
     if settling:
         best = min(settling, key=lambda each: each.window_s or np.inf)
         rows.append(

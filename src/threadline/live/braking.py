@@ -261,7 +261,7 @@ def change_rate(
     arriving = place - rate_before * np.arange(2.0, -1.0, -1.0)
     last = floor(place) + most_changed(gently) + 2
     path_counts = path.counts(np.arange(floor(arriving[0]), last, dtype=np.float64))
-    for wanted in [gently * elapsed for elapsed in _LONGER] if gently else _DURATIONS:
+    for wanted in [gently * factor for factor in _LONGER] if gently else _DURATIONS:
         ticks = _landing(place, rate_before, wanted) if rate_after == 1.0 else wanted
         k = np.arange(1, ceil(ticks) + 1)
         elapsed = np.minimum(k, ticks)

@@ -113,8 +113,8 @@ def rest_of_program(program: Program, plan: Plan, operation: int) -> tuple[Rest,
     starts = run_kind_of(machine).start(plan.commands) / machine.counts_per_unit
     begins = program.ends[first - 1] if first else starts
     kept_lines = [line for line in lines[: working_lines[0]] if not line.startswith(_SHIFTS)]
-    feeds = [rest_rows for line in lines[:first] for rest_rows in _FEED.findall(line)]
-    motions = [rest_rows for line in lines[:first] for rest_rows in _MOTION.findall(line)]
+    feeds = [word for line in lines[:first] for word in _FEED.findall(line)]
+    motions = [word for line in lines[:first] for word in _MOTION.findall(line)]
     preparing = [
         *kept_lines,
         *([b"G1 F" + feeds[-1] + b"\n"] if feeds else []),

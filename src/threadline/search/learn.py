@@ -160,7 +160,7 @@ class Learner:
             All runs so far, in order; at least one.
         """
         best_index, gain = best_of(
-            [(learning_filter.passed, learning_filter.error_m) for learning_filter in runs],
+            [(run.passed, run.error_m) for run in runs],
             self.rules.gain,
         )
         best = runs[best_index]
@@ -168,7 +168,7 @@ class Learner:
             return best.offset, 0.0, "the best table is kept"
         columns = zip(self.filters, best.error.T, self._scale, strict=True)
         change = np.stack(
-            [learning_filter.change(error) * scale for learning_filter, error, scale in columns],
+            [axis_filter.change(error) * scale for axis_filter, error, scale in columns],
             axis=1,
         )
         change[0] = change[-1] = 0.0

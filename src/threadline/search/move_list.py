@@ -141,8 +141,7 @@ def _cut(
     assert machine.plc is not None
     scan_s = float(machine.clock(machine.plc.clock).period_s)
     from_m, to_m = (
-        dict(zip(job.axes, following_index, strict=True))[axis]
-        for following_index in (begin, move.target)
+        dict(zip(job.axes, position, strict=True))[axis] for position in (begin, move.target)
     )
     whole_s = machine.cylinders[axis].rest_s(to_m > from_m)
     rests: list[float] = []

@@ -364,9 +364,9 @@ def tuned_toml(tuning: Tuning, kind: ControllerKind, rule: Rule, folder: Path) -
             lines.append(
                 f'{key} = "{loop.gains[key]:.6g}{unit} exact, checked: threadline tune, {rule}"'
             )
-        unused_numbers = {k for loop in CONTROLLERS if loop == old_kind for k in NUMBERS[loop]} - {
-            *NUMBERS[kind]
-        }
+        unused_numbers = {
+            k for other in CONTROLLERS if other == old_kind for k in NUMBERS[other]
+        } - {*NUMBERS[kind]}
         lines += [f'{key} = "none"' for key in sorted(unused_numbers)]
     return "\n".join(lines) + "\n"
 
