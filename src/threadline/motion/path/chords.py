@@ -155,7 +155,7 @@ class Program(NamedTuple):
     radius_m: FloatArray
 
 
-class Way(NamedTuple):
+class ToolChord(NamedTuple):
     """A chord at the tool: (axes,) start, (axes,) vector along it, and an (axes,) work array."""
 
     here: FloatArray
@@ -201,25 +201,12 @@ class Legs(NamedTuple):
 
 
 @njit()
-def chord(program, shares_m, rough, aside, before, legs, way):
+def chord(program, shares_m, rough, aside, before, legs, tool_chord):
     """Write the vector along the next chord; return the row of its end, and its quality.
 
-    Parameters
-    ----------
-    program : Program
-        The vertices.
-    shares_m : (shares,)
-        Permitted deviations of vertices, tried in this order.
-    rough : int
-        Roughness of the program.
-    aside : bool
-        Whether the chord begins beside its first vertex.
-    before : Before
-        The chord before.
-    legs : Legs
-        The legs that it may replace.
-    way : Way
-        Its start; its vector is written.
+    ``shares_m`` are permitted deviations of vertices, tried in this order; ``rough`` is the
+    roughness of the program; ``aside`` says whether the chord begins beside its first vertex. The
+    chord may replace ``legs``. It begins at the start in ``tool_chord``, whose vector is written.
 
     Returns
     -------
@@ -233,7 +220,7 @@ def chord(program, shares_m, rough, aside, before, legs, way):
         Number of its share, and number of legs to try for the next one.
     """
     positions, radius_m = program
-    here, d, _ = way
+    here, d, _ = tool_chord
     first, before_m, guess = before
     start, limit, corner, opens = legs
     room = limit - start
@@ -246,7 +233,7 @@ def chord(program, shares_m, rough, aside, before, legs, way):
         thin_m = shares_m[level]
         n = guess
         if n == 0:
-            n = _grown(program, way, start, room, thin_m)
+            n = _grown(program, tool_chord, start, room, thin_m)
         trimmed, walked, tried = False, False, room + 1
         while True:  # with fewer legs each time
             if corner and n < room < 2 * n and not walked and not trimmed:
@@ -256,11 +243,11 @@ def chord(program, shares_m, rough, aside, before, legs, way):
             tried = n
             if n < (2 if trimmed or (n == room and aside) else least):
                 break
-            met = not walked and _write(program, way, start, n, room)
+            met = not walked and _write(program, tool_chord, start, n, room)
             strayed = _strayed(positions, radius_m, here, d, start, start + n)
             longer = np.sqrt(squared_of(d)) / (GROWS * before_m)
             if strayed > thin_m:
-                more, rough_m = _more(program, way, start, n, strayed, thin_m)
+                more, rough_m = _more(program, tool_chord, start, n, strayed, thin_m)
                 if rough_m > thin_m and level < end - 1:
                     n = 0  # no chord of useful length is within the tolerance
                     break
@@ -281,7 +268,7 @@ def chord(program, shares_m, rough, aside, before, legs, way):
             continue
         if rough != ROUGH and not aside and _turned(positions, radius_m, start, start + n) > BENDS:
             continue
-        more, _ = _more(program, way, start, n, strayed, thin_m)
+        more, _ = _more(program, tool_chord, start, n, strayed, thin_m)
         more = min(max(more, 0.5), _GROWS_LEGS)
         return start + n, met, strayed, level, max(min(int(n * more + 0.5), MOST), LEAST)
     towards(positions, radius_m, here, start + 1, d)
@@ -289,15 +276,15 @@ def chord(program, shares_m, rough, aside, before, legs, way):
 
 
 @njit()
-def _grown(program, way, start, room, thin_m):
+def _grown(program, tool_chord, start, room, thin_m):
     """Return how many legs a chord may have, by trying more and more of them."""
     positions, radius_m = program
-    here, d, _ = way
+    here, d, _ = tool_chord
     n = min(_FIRST, room)
     while n < min(room, MOST):
-        _write(program, way, start, n, room)
+        _write(program, tool_chord, start, n, room)
         strayed = _strayed(positions, radius_m, here, d, start, start + n)
-        more, _ = _more(program, way, start, n, strayed, thin_m)
+        more, _ = _more(program, tool_chord, start, n, strayed, thin_m)
         more = min(more, _FIRST_GROWS)
         if more < 1.2:
             break
@@ -306,14 +293,14 @@ def _grown(program, way, start, room, thin_m):
 
 
 @njit()
-def _more(program, way, start, n, strayed, thin_m):
+def _more(program, tool_chord, start, n, strayed, thin_m):
     """Return the factor by which a chord may grow, and the deviation of vertices from the curve.
 
     The distance of its middle from the curve grows with the square of its length; the scatter of
     the vertices about the curve does not.
     """
     positions, radius_m = program
-    here, d, middle = way
+    here, d, middle = tool_chord
     half = n // 2
     mean = min(max(n // _MEAN, 1), _MOST_MEAN, half, n - half)
     along, far, square = 0.0, 0.0, 0.0
@@ -331,10 +318,10 @@ def _more(program, way, start, n, strayed, thin_m):
 
 
 @njit()
-def _write(program, way, start, n, room):
+def _write(program, tool_chord, start, n, room):
     """Write the vector along a chord of ``n`` legs; return whether it ends in its last vertex."""
     positions, radius_m = program
-    here, d, _ = way
+    here, d, _ = tool_chord
     k, axes = start + n, len(d)
     mean = min(max(n // _MEAN, 1), _MOST_MEAN, room - n)
     if mean == 0:

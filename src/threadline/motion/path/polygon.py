@@ -202,16 +202,9 @@ def control_polygon(
 def _points(vertices, legs, chords, quartic):
     """Return the columns of the points of some chords.
 
-    Parameters
-    ----------
-    vertices : tuple
-        (n, axes) positions, (n,) nominal times, operations and lines.
-    legs : tuple
-        (n - 1,) lengths, (n,) turns, and (2, n) spacing on the leg into each vertex and the next.
-    chords : tuple
-        As in ``Chords``.
-    quartic : bool
-        Whether the spline is a quartic.
+    ``vertices`` are (n, axes) positions, (n,) nominal times, operations and lines. ``legs`` are
+    (n - 1,) lengths, (n,) turns, and (2, n) spacings on the leg into each vertex and on the next.
+    ``chords`` are the values of ``Chords``.
     """
     positions, nominal_s, operation, line = vertices
     length_m, turn, spacing = legs

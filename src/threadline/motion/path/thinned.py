@@ -27,7 +27,7 @@ from threadline.motion.path.chords import (
     Before,
     Legs,
     Program,
-    Way,
+    ToolChord,
     chord,
     from_vertex,
     legs_kept,
@@ -167,7 +167,7 @@ def _thin(vertices, cut_m, shares_m, ends, start, place, known):
     time_s, row = np.empty(count), np.empty(count, dtype=np.int64)
     kept = legs_kept(positions, radius_m, cut_m)
     here, d = place.copy(), np.empty(axes)
-    program, way = Program(positions, radius_m), Way(here, d, np.empty(axes))
+    program, tool_chord = Program(positions, radius_m), ToolChord(here, d, np.empty(axes))
     # The roughness at the last two rows is unknown before more vertices come.
     last = count - 1 if ends else count - 2
     n, next_kept = 0, start
@@ -206,7 +206,7 @@ def _thin(vertices, cut_m, shares_m, ends, start, place, known):
                 aside,
                 Before(level, before_m, guess),
                 Legs(start, limit, corner, not ends and not corner and limit == last),
-                way,
+                tool_chord,
             )
         if k < 0:
             break  # where it ends is not known yet
