@@ -1,12 +1,12 @@
-"""State-space controllers in the linear analysis: joined to one controller, and in closed loops.
+"""Controllers of the linear analysis in state-space form: conversion, joining and closed loops.
 
-A controller in volts has the states x, the references r and the readings y of one tick:
+Every tick, a controller with the states x turns the references r and the sensor readings y into the
+voltages u:
 
     x[k+1] = A x[k] + R r[k] + Y y[k],   u[k] = C x[k] + Dr r[k] + Dy y[k]
 
-A difference equation of one error ``r - y`` is the case ``Y = -R``; its states are the states of
-the transposed direct form. The clamping of the DAC is left out, as everywhere in the linear
-analysis.
+A difference equation that acts on the error ``r - y`` has ``Y = -R`` and ``Dy = -Dr``; its states
+follow the transposed direct form II. The linear analysis has no clamping of the DAC.
 """
 
 from __future__ import annotations
@@ -26,15 +26,15 @@ from threadline.machine.controllers import AxisController, AxisOfStateSpace, Sta
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class MatrixController:
-    """All controllers of a connected piece as one, in volts; n states, m loops, q readings.
+    """All controllers of coupled axes as one controller; n states, m voltages, q readings.
 
     Parameters
     ----------
     A, R, Y
-        (n, n), (n, m) and (n, q): from states, references and readings to the states at the next
-        tick.
+        (n, n), (n, m) and (n, q): effect of states, references and readings on the states at the
+        next tick.
     C, Dr, Dy
-        (m, n), (m, m) and (m, q): from states, references and readings to the voltages.
+        (m, n), (m, m) and (m, q): effect of states, references and readings on the voltages.
     """
 
     A: FloatArray
@@ -45,14 +45,17 @@ class MatrixController:
     Dy: FloatArray
 
     def feedback(self, z: ComplexArray) -> ComplexArray:
-        """Return the (k, m, q) response from readings to voltages at (k,) values of z."""
+        """Return the (k, m, q) frequency response from readings to voltages at (k,) values of z."""
         resolvent = z[:, None, None] * np.eye(len(self.A)) - self.A
         solved = np.linalg.solve(resolvent, np.broadcast_to(self.Y, (len(z), *self.Y.shape)))
         return np.asarray(self.C @ solved + self.Dy)
 
 
 def in_volts(controller: StateSpaceController) -> MatrixController:
-    """Return a state-space controller with outputs in volts; its readings are its ``sensors``."""
+    """Return a state-space controller with its outputs converted from DAC levels to volts.
+
+    The readings are the controller's ``sensors``, in their order.
+    """
     m, volts = len(controller.references), controller.dac.volt_per_level
     B, D = controller.matrix("B"), volts * controller.matrix("D")
     return MatrixController(
@@ -62,7 +65,7 @@ def in_volts(controller: StateSpaceController) -> MatrixController:
 
 
 def of_filter(digital: DigitalFilter) -> MatrixController:
-    """Return the difference equation of one error as a controller with two states."""
+    """Return a second-order difference equation on the error as a controller with two states."""
     (b0, b1, b2), (_, a1, a2) = digital.numerator, digital.denominator
     R = np.array([[b1 - a1 * b0], [b2 - a2 * b0]])
     return MatrixController(
@@ -72,7 +75,7 @@ def of_filter(digital: DigitalFilter) -> MatrixController:
 
 
 def side_by_side(parts: Sequence[MatrixController]) -> MatrixController:
-    """Return several controllers as one block-diagonal controller; each keeps its readings."""
+    """Return one block-diagonal controller of several independent controllers."""
     return MatrixController(
         **{
             name: np.asarray(block_diag(*(getattr(part, name) for part in parts)))
@@ -89,49 +92,55 @@ def close_matrix_loop(
     period_s: float,
     gains: FloatArray,
 ) -> ClosedLoop:
-    """Return the closed loop of ``plant`` with a controller of all its inputs.
+    """Return the closed loop of ``plant`` with a controller that drives all inputs of the plant.
+
+    The state vector holds the states of the plant; then for each input its last d + 1 voltages,
+    newest first, d being the whole ticks of its dead time; then the states of the controller. The
+    outputs are the outputs of the plant, then the voltages.
 
     Parameters
     ----------
     sensors
         (q,) names of the plant's outputs that the controller reads.
     names
-        (m,) names of the loops.
+        (m,) names of the loops, in the order of the plant's inputs.
+    period_s
+        Length of a tick.
     gains
         (m,) factors on the voltages.
     """
     sampled = sample(plant, period_s)
     m, n, controller_states = len(names), len(plant.A), len(controller.A)
-    line_lengths = [t + 1 for t in sampled.ticks]
-    starts = n + np.concatenate(([0], np.cumsum(line_lengths)[:-1])).astype(int)
-    memory = n + sum(line_lengths)
-    size = memory + controller_states
+    delay_lengths = [t + 1 for t in sampled.ticks]
+    starts = n + np.concatenate(([0], np.cumsum(delay_lengths)[:-1])).astype(int)
+    first_controller_state = n + sum(delay_lengths)
+    size = first_controller_state + controller_states
     reading_rows = np.zeros((len(sensors), size))
     reading_rows[:, :n] = [plant.C[plant.outputs.index(name)] for name in sensors]
-    level = gains[:, None] * (controller.Dy @ reading_rows)
-    level[:, memory:] += gains[:, None] * controller.C
+    voltage_rows = gains[:, None] * (controller.Dy @ reading_rows)
+    voltage_rows[:, first_controller_state:] += gains[:, None] * controller.C
     feedthrough = gains[:, None] * controller.Dr
     A, B = np.zeros((size, size)), np.zeros((size, m))
     A[:n, :n] = sampled.transition
-    for i, first in enumerate(starts.tolist()):
-        A[first], B[first] = level[i], feedthrough[i]
-        for j in range(1, line_lengths[i]):
-            A[first + j, first + j - 1] = 1.0
+    for i, newest in enumerate(starts.tolist()):
+        A[newest], B[newest] = voltage_rows[i], feedthrough[i]
+        for j in range(1, delay_lengths[i]):
+            A[newest + j, newest + j - 1] = 1.0
         if sampled.ticks[i] == 0:
-            A[:n] += np.outer(sampled.newer[:, i], level[i])
+            A[:n] += np.outer(sampled.newer[:, i], voltage_rows[i])
             B[:n] += np.outer(sampled.newer[:, i], feedthrough[i])
         else:
-            A[:n, first + sampled.ticks[i] - 1] += sampled.newer[:, i]
-        A[:n, first + sampled.ticks[i]] += sampled.older[:, i]
-    A[memory:] += controller.Y @ reading_rows
-    A[memory:, memory:] += controller.A
-    B[memory:] = controller.R
-    rows = np.zeros((len(plant.C), size))
-    rows[:, :n] = plant.C
+            A[:n, newest + sampled.ticks[i] - 1] += sampled.newer[:, i]
+        A[:n, newest + sampled.ticks[i]] += sampled.older[:, i]
+    A[first_controller_state:] += controller.Y @ reading_rows
+    A[first_controller_state:, first_controller_state:] += controller.A
+    B[first_controller_state:] = controller.R
+    plant_rows = np.zeros((len(plant.C), size))
+    plant_rows[:, :n] = plant.C
     return ClosedLoop(
         A=A,
         B=B,
-        C=np.vstack([rows, level]),
+        C=np.vstack([plant_rows, voltage_rows]),
         D=np.vstack([np.zeros((len(plant.C), m)), feedthrough]),
         outputs=(*plant.outputs, *(f"controllers.{name}" for name in names)),
         period_s=period_s,
@@ -139,18 +148,19 @@ def close_matrix_loop(
 
 
 class LoopPart(NamedTuple):
-    """A controller's loop for one axis; a state-space controller has one loop for each of its axes.
+    """One loop of a controller; a state-space controller has a loop for each of its axes.
 
     Parameters
     ----------
     controller
         Name of the controller.
     place
-        Index of the axis in the references of a state-space controller, else 0.
+        Index of the axis among the references of a state-space controller; 0 for other
+        controllers.
     axis
         Name of the axis; empty if the controller moves no axis.
     of
-        Clocks, sensor, drive and DAC of the loop.
+        Description of the loop in the machine file: clocks, sensor, drive and DAC.
     """
 
     controller: str
@@ -160,7 +170,7 @@ class LoopPart(NamedTuple):
 
 
 def loop_parts(machine: Machine, controllers: Iterable[str]) -> tuple[LoopPart, ...]:
-    """Return the loops of ``controllers``; the loops of one controller follow each other."""
+    """Return the loops of ``controllers``, controller by controller."""
     owner = {axis.controller: name for name, axis in machine.axes.items()}
     parts: list[LoopPart] = []
     for name in controllers:

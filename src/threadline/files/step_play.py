@@ -1,6 +1,7 @@
-"""Commands of an embroidery frame (step tables per stitch and axis), and the hash of rows.
+"""Step tables of an embroidery frame, and the hash that identifies commands of every kind.
 
-``docs/files.md`` ("The hash of the rows") defines the hash, so that another program can compute it.
+The section "The hash of the rows" of ``docs/files.md`` defines the hash byte by byte, so that
+another program can compute it.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ STEPS = "threadline step play 1"
 
 
 class RowsHash:
-    """Hashes rows and events as they are added; their division into blocks has no effect.
+    """The hash of commands, built block by block; the division into blocks does not change it.
 
     Parameters
     ----------
@@ -36,7 +37,8 @@ class RowsHash:
     names
         Names of the axes or outputs.
     numbers
-        All numbers except the rows, in the order of the definition in ``docs/files.md``.
+        Numbers that belong to the whole table, such as scales and start positions, in the order
+        that ``docs/files.md`` defines.
     """
 
     def __init__(
@@ -59,7 +61,7 @@ class RowsHash:
         self._row_count = self._event_count = 0
 
     def add(self, columns: Iterable[IntArray], events: Iterable[Event]) -> None:
-        """Add n rows, given as (n,) or (n, k) columns, and events in their order."""
+        """Add n rows, given as arrays of shape (n,) or (n, k), and the events of these rows."""
         rows = np.column_stack([*columns])
         self._rows.update(_eight_bytes(rows))
         self._row_count += len(rows)
@@ -90,7 +92,7 @@ def _eight_bytes(numbers: FloatArray | IntArray) -> bytes:
 
 
 CountedBy = Literal["time", "angle"]
-"""Unit of the intervals in step tables: periods of a timer, or parts of a shaft's turn."""
+"""What the intervals of step tables count: ticks of a timer, or equal parts of a shaft turn."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -100,10 +102,10 @@ class StepTable(Locked):
     Parameters
     ----------
     units
-        Length of the move in units of the design.
+        Length of the move in the length unit of the design file.
     intervals
-        (k,) counts from the start of the window to the first step, then from step to step; at least
-        1.
+        (k,) intervals, each at least 1: from the start of the window to the first step, then from
+        step to step.
     """
 
     units: int
@@ -119,7 +121,7 @@ class StepTable(Locked):
 
     @property
     def times(self) -> IntArray:
-        """(k,) counts from the start of the window to each step."""
+        """(k,) time or angle of each step, counted from the start of the window."""
         return np.cumsum(self.intervals)
 
 
@@ -134,19 +136,21 @@ class StitchBlock(Locked):
     begin
         (n,) int: tick of the clock at which the tables begin.
     window
-        (n,) int: ticks in which the shaft turns through the window of the move at constant speed.
+        (n,) int: length of the window in which the frame moves, in ticks. The shaft turns at
+        constant speed meanwhile.
     table
-        (n, A) int: index in the library of the table that each axis plays; -1 for no motion.
+        (n, A) int: table that each axis plays, as an index into ``StepPlay.library``; -1 for no
+        motion.
     sign
         (n, A) int: direction of the steps, 1 or -1; 0 for no motion.
     start
-        (n,) int: shaft angle at which the tables begin.
+        (n,) int: shaft angle at which the tables begin, in parts of a turn.
     needle
         (n,) int: 1 if the needle enters the cloth in this turn, 0 if it is held up.
     operation
-        (n,) int: operation of the job of each turn.
+        (n,) int: index of the job's operation to which each turn belongs.
     events
-        Events of these turns; their ticks are numbers of turns.
+        Events of these turns; ``tick`` of an event is the number of its turn.
     """
 
     first_stitch: int
@@ -202,23 +206,24 @@ class StepPlay(Locked):
     clock
         The timer of the controller.
     counted_by
-        Unit of the intervals: ticks of the clock, or parts of the shaft's turn.
+        What the intervals count: ticks of ``clock``, or parts of a turn of the shaft.
     steps_per_turn
-        Number of equal parts of a turn of the shaft.
+        Number of equal parts into which a turn of the shaft is divided. (These are not motor
+        steps.)
     window_angle
-        Number of these parts in the window of the move.
+        Length of the window in which the frame moves, in these parts of a turn.
     axes
-        Names, in the order of the columns.
+        Names of the axes, in the order of the columns of ``table`` and ``sign``.
     steps_per_unit
         (A,) steps of the motor per metre or per radian.
     start_steps
         (A,) position of each axis before the first stitch, in steps.
     library
-        The tables.
+        The step tables.
     blocks
-        Re-iterable blocks of turns, consecutive from turn 0.
+        Consecutive blocks of turns from turn 0 on; they can be iterated repeatedly.
     duration_ticks
-        Length of all turns together, in ticks of the clock.
+        Duration of all turns together, in ticks of the clock.
     job_sha256, machine_sha256
         Hashes of the job and the machine for which the commands were made.
     """
@@ -255,15 +260,17 @@ class StepPlay(Locked):
         return _step_play, tuple(getattr(self, field.name) for field in fields(self))
 
     def __iter__(self) -> Iterator[StitchBlock]:
-        """Yield the blocks, each checked against library, axes and shaft.
+        """Yield the blocks, after checking each against library, axes, shaft and duration.
 
         Raises
         ------
         ValueError
-            If a stitch names an unknown table, begins outside its turn, has a table that is longer
-            than its window, ends after ``duration_ticks``, or does not follow the preceding stitch.
+            If a stitch names an unknown table, has a start angle outside a turn or a needle other
+            than 0 and 1, has a table that is longer than its window, ends after ``duration_ticks``,
+            begins before the window of the preceding stitch has ended, or is not the next by
+            number.
         """
-        expected, free = 0, 0
+        expected, earliest_begin = 0, 0
         spans = _spans(self.library)
         for block in self.blocks:
             if block.first_stitch != expected or block.table.shape[1] != len(self.axes):
@@ -274,7 +281,7 @@ class StepPlay(Locked):
             for name, values, low, high in (
                 ("table", block.table, -1, len(self.library)),
                 ("start", block.start[:, None], 0, self.steps_per_turn),
-                ("begin", block.begin[:1, None], free, 2**62),
+                ("begin", block.begin[:1, None], earliest_begin, 2**62),
                 ("needle", block.needle[:, None], 0, 2),
             ):
                 wrong = np.flatnonzero(((values < low) | (values >= high)).any(axis=1))
@@ -284,37 +291,34 @@ class StepPlay(Locked):
                         f"stitch {expected + at}: {name} {values[at].tolist()} is not from {low} "
                         f"to {high - 1}"
                     )
-            room = block.window if self.counted_by == "time" else np.array([self.window_angle])
-            late = np.flatnonzero((spans[block.table] > room[:, None]).any(axis=1))
-            if len(late):
+            allowed = block.window if self.counted_by == "time" else np.array([self.window_angle])
+            too_long = np.flatnonzero((spans[block.table] > allowed[:, None]).any(axis=1))
+            if len(too_long):
                 raise ValueError(
-                    f"stitch {expected + int(late[0])}: its table is longer than its window"
+                    f"stitch {expected + int(too_long[0])}: its table is longer than its window"
                 )
             ends = block.begin + block.window
-            over = np.flatnonzero(ends > self.duration_ticks)
-            if len(over):
+            past_end = np.flatnonzero(ends > self.duration_ticks)
+            if len(past_end):
                 raise ValueError(
-                    f"stitch {expected + int(over[0])}: its window ends at {ends[over[0]]}, the "
-                    f"commands end at {self.duration_ticks}"
+                    f"stitch {expected + int(past_end[0])}: its window ends at "
+                    f"{ends[past_end[0]]}, the commands end at {self.duration_ticks}"
                 )
             if len(block):
-                free = int(block.begin[-1] + block.window[-1])
+                earliest_begin = int(block.begin[-1] + block.window[-1])
             expected += len(block)
             yield block
 
     def stitch_count(self) -> int:
-        """Return the number of turns; reads every block."""
+        """Count the turns; this reads every block."""
         return sum(len(block) for block in self)
 
     def tick_count(self) -> int | None:
-        """Return None: step tables do not have a row for every tick."""
+        """Return None, because step tables have no row for each tick."""
         return None
 
     def rows_sha256(self) -> str:
-        """Return the hash of the commands: tables, turns and events.
-
-        ``docs/files.md`` defines it byte by byte.
-        """
+        """Return the hash of tables, turns and events, as ``docs/files.md`` defines it."""
         lengths = np.array([len(table) for table in self.library], dtype=np.int64)
         units = np.array([table.units for table in self.library], dtype=np.int64)
         by = 0 if self.counted_by == "time" else 1
@@ -329,8 +333,8 @@ class StepPlay(Locked):
         return digest.hexdigest()
 
     def end_steps(self) -> IntArray:
-        """Return the (A,) position after the last stitch, in steps; reads every block."""
-        # A stitch without motion has the index -1, which selects the last entry: 0 steps.
+        """Return the (A,) position after the last stitch, in steps; this reads every block."""
+        # Table -1, no motion, selects the last entry of ``lengths``, which is 0 steps.
         lengths = np.array([*(len(table) for table in self.library), 0], dtype=np.int64)
         total = self.start_steps.copy()
         for block in self:
@@ -344,10 +348,10 @@ def _step_play(*values: Any) -> StepPlay:
 
 
 def concatenated_intervals(tables: tuple[StepTable, ...]) -> tuple[IntArray, IntArray]:
-    """Return the (n,) intervals of all tables, and the (tables,) start index of each table.
+    """Return the (n,) intervals of all tables, and the (tables,) index at which each table begins.
 
-    The results are the arguments of ``np.add.reduceat``; a call per table would be slow for
-    hundreds of tables.
+    ``np.add.reduceat`` takes both and sums each table; one call for each of hundreds of tables
+    would be slow.
     """
     ends = np.cumsum([len(table) for table in tables], dtype=np.int64)
     begins = np.concatenate((np.zeros(1, dtype=np.int64), ends[:-1]))
@@ -356,7 +360,7 @@ def concatenated_intervals(tables: tuple[StepTable, ...]) -> tuple[IntArray, Int
 
 @lru_cache(maxsize=1)
 def _spans(tables: tuple[StepTable, ...]) -> IntArray:
-    """Return the (k + 1,) length of each table in counts; the last entry, 0, means no table."""
+    """Return the (k + 1,) sums of the intervals of each table; the last, 0, stands for no table."""
     spans = np.zeros(len(tables) + 1, dtype=np.int64)
     if tables:
         intervals, begins = concatenated_intervals(tables)

@@ -1,4 +1,4 @@
-"""Contours: arc segments, contours that are written in seam files, and joining of strokes."""
+"""Contours: arc segments, the ``[[contour]]`` tables of seam files, and contours from strokes."""
 
 from __future__ import annotations
 
@@ -26,7 +26,8 @@ class DrawnLine:
     table
         The curve.
     closed
-        Whether it ends where it begins; lengths are then taken modulo its length.
+        Whether the curve ends where it begins; a length beyond its end then continues from the
+        beginning.
     """
 
     table: ArcTable
@@ -42,10 +43,10 @@ TURNS = ("ccw", "cw")
 
 
 def bulge_segment(begin: FloatArray, end: FloatArray, bulge: float, line: int) -> Pieces:
-    """Return the arc between two points with a bulge; a chord for the bulge 0.
+    """Return the arc between two points, given by its bulge; a straight line for the bulge 0.
 
     ``begin`` and ``end`` are (2,) m. The bulge is the tangent of a quarter of the arc's angle,
-    positive counter-clockwise.
+    positive for an arc that turns counter-clockwise.
     """
     return bulges(np.array([begin, end]), np.array([bulge]), line)
 
@@ -53,14 +54,15 @@ def bulge_segment(begin: FloatArray, end: FloatArray, bulge: float, line: int) -
 def centre_segment(
     begin: FloatArray, end: FloatArray, centre: FloatArray, turn: str, line: int
 ) -> Pieces:
-    """Return the arc around ``centre``, a full circle if ``begin`` and ``end`` are equal.
+    """Return the arc around ``centre``: a full circle if ``begin`` and ``end`` are equal.
 
     The points are (2,) m; ``turn`` is ``ccw`` or ``cw``.
 
     Raises
     ------
     ValueError
-        If the two ends lie at different distances from the centre, or ``turn`` is unknown.
+        If the two ends are not equally far from the centre, ``begin`` is the centre, or ``turn`` is
+        unknown.
     """
     if turn not in TURNS:
         raise ValueError(f"an arc around a centre turns 'ccw' or 'cw', got {turn!r}")
@@ -82,7 +84,7 @@ def centre_segment(
 def radius_segment(
     begin: FloatArray, end: FloatArray, radius_m: float, turn: str, large: bool, line: int
 ) -> Pieces:
-    """Return the arc with ``radius_m``; with ``large`` the arc of more than half a turn.
+    """Return the arc of radius ``radius_m``; with ``large`` the one of more than half a turn.
 
     ``begin`` and ``end`` are (2,) m; ``turn`` is ``ccw`` or ``cw``.
 
@@ -114,11 +116,11 @@ def written_contour(table: dict[str, Any], factor: float, line: int) -> Pieces:
     Parameters
     ----------
     table
-        Its content.
+        Content of the table.
     factor
-        Metres in its unit.
+        Length of the table's unit, m.
     line
-        Line of the file, for the pieces.
+        Line of the file to which messages about these pieces refer.
 
     Raises
     ------
@@ -132,7 +134,7 @@ def written_contour(table: dict[str, Any], factor: float, line: int) -> Pieces:
     parts = []
     for point in points[1:]:
         if not isinstance(point, dict):
-            point = {"to": point}  # noqa: PLW2901 - the short form of the same thing
+            point = {"to": point}  # noqa: PLW2901 - [x, y] is short for {to = [x, y]}
         end = _pair(point.get("to")) * factor
         parts.append(_segment(begin, end, point, factor, line))
         begin = end
@@ -184,15 +186,15 @@ def _segment(
 
 ZERO_LENGTH_M = 1e-9
 _MAX_WARNINGS = 10
-_NEAR_GAPS = 100.0  # ends up to so many gaps apart are probably meant to meet
+_NEAR_GAPS = 100.0  # ends at most this many times gap_m apart were probably meant to meet
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Contour:
-    """A curve without branches.
+    """A curve without branches, made of strokes.
 
-    The ends of neighbouring pieces are at most ``gap_m`` apart. Such a gap is not closed: it is a
-    jump in position without length.
+    Neighbouring strokes may be apart by the ``gap_m`` of ``join_strokes``. No line bridges such a
+    gap: the position jumps there, and the gap adds nothing to the length.
     """
 
     pieces: Pieces
@@ -202,9 +204,9 @@ class Contour:
 
 
 def drop_zero_lengths(strokes: Sequence[Stroke], file: str) -> tuple[list[Stroke], list[str]]:
-    """Return the strokes without their pieces of length 0, and warnings about these pieces.
+    """Return the strokes without pieces of length 0, and warnings about the pieces left out.
 
-    A stroke without other pieces is omitted.
+    A stroke of which no piece remains is left out.
     """
     if not strokes:
         return [], []
@@ -238,24 +240,24 @@ def drop_zero_lengths(strokes: Sequence[Stroke], file: str) -> tuple[list[Stroke
 def join_strokes(
     strokes: Sequence[Stroke], gap_m: float, file: str
 ) -> tuple[list[Contour], list[str]]:
-    """Join ``strokes`` to contours, in the order of the file; return these and warnings.
+    """Join ``strokes`` to contours; return the contours, in the order of the file, and warnings.
 
-    A contour starts at its first stroke in the file and has the direction of that stroke.
+    A contour has the direction of its first stroke in the file. A closed contour also begins there.
 
     Parameters
     ----------
     strokes
         Strokes of one seam.
     gap_m
-        Ends at most this far apart are joined.
+        Ends at most this far apart are joined, m.
     file
         Name of the file, for messages.
 
     Raises
     ------
     JobError
-        If three or more ends meet, so that the continuation is ambiguous, or if a stroke is shorter
-        than ``gap_m``.
+        If three or more ends meet, so that the continuation is ambiguous, or if a whole stroke is
+        not larger than ``gap_m``.
     """
     if not strokes:
         return [], []
@@ -265,7 +267,7 @@ def join_strokes(
     is_loop = np.hypot(*(last - first).T) <= gap_m
     for k in np.flatnonzero(is_loop).tolist():
         _refuse_short(strokes[k], gap_m, file)
-    ends = np.concatenate([first, last])  # end e belongs to stroke e % n; from n on last points
+    ends = np.concatenate([first, last])  # first points, then last points; end e is of stroke e % n
     count = len(strokes)
     partner = _partners(ends, np.tile(~is_loop, 2), gap_m, strokes, file)
     warnings = _gap_warnings(ends, partner, strokes, file)
@@ -294,7 +296,7 @@ def join_strokes(
 def _partners(
     ends: FloatArray, free: np.ndarray, gap_m: float, strokes: Sequence[Stroke], file: str
 ) -> IntArray:
-    """Return the (2 n,) index of the end that each end meets, -1 for none."""
+    """Return (2 n,) for each end the index of the end that it is joined to; -1 for none."""
     from scipy.spatial import cKDTree
 
     count = len(strokes)
@@ -320,7 +322,10 @@ def _partners(
 
 
 def _walk(start: int, partner: IntArray, count: int) -> tuple[list[tuple[int, bool]], bool]:
-    """Return the chain through stroke ``start`` as (stroke, backwards), and whether it closes."""
+    """Return the chain of strokes through ``start``, and whether it is a loop.
+
+    Each stroke of the chain is (index, whether it is passed backwards).
+    """
     chain = [(start, False)]
     end = start + count
     while partner[end] >= 0:

@@ -1,4 +1,4 @@
-"""Open measured data by the content of its file."""
+"""Read a file of measured data as a recorded run or as a frequency response."""
 
 from __future__ import annotations
 
@@ -21,24 +21,25 @@ _RECORDINGS = (".npz", ".mcap", ".plt")
 
 
 def open_data(text: str, machine: str, axis: str = "") -> Data:
-    """Return measured data, ready to be fitted.
+    """Return the measured data in a file, ready for a fit.
 
     Parameters
     ----------
     text
-        Name of a file, or ``+OVERLAY:FILE`` if it was measured with an overlay of the machine.
-        ``response:FILE`` is the response of a measured sweep, in place of its raw run.
+        Name of a file, or ``+OVERLAY:FILE`` if the machine had an overlay during the measurement.
+        ``response:FILE`` reads the frequency response that ``threadline measure`` stored in the
+        recording of a sweep, instead of the recording itself.
     machine
         Name of the machine file, with overlays after plus signs.
     axis
-        Axis of a response that does not name its own.
+        Axis of a response that names none, or the only axis to use of a recording.
 
     Raises
     ------
     RecordingError
         If the file cannot be read.
     OptionError
-        If the data does not fit the machine.
+        If the machine has no such axis, or no control loops for a recording.
     """
     overlay, file = "", text
     if text.startswith("+"):
@@ -51,12 +52,12 @@ def open_data(text: str, machine: str, axis: str = "") -> Data:
 
 
 def read_data(file: str, machine: Machine, axis: str = "") -> Data:
-    """Return the measured data in a file, or in ``response:FILE``, of a machine.
+    """Return the data that was measured on ``machine``, from a file or ``response:FILE``.
 
     Raises
     ------
     RecordingError, OptionError
-        As ``open_data``.
+        See ``open_data``.
     """
     if file.startswith(_OF_SWEEP):
         path = Path(file.removeprefix(_OF_SWEEP))
@@ -68,7 +69,7 @@ def read_data(file: str, machine: Machine, axis: str = "") -> Data:
 
 
 def _response_in(path: Path, machine: Machine) -> MeasuredResponse:
-    """Return the response that is stored with the raw run of a measured sweep."""
+    """Return the frequency response that is stored in the recording of a sweep."""
     recording, place = read_recording(path), Place(str(path))
     response = response_of(recording.origin, place)
     if response is None:
@@ -77,14 +78,14 @@ def _response_in(path: Path, machine: Machine) -> MeasuredResponse:
             place=place,
             remedy="threadline measure --experiment sweep writes one.",
         )
-    # The response alone would fit any machine with such an axis.
+    # The response names only its axis: the run itself shows whether this machine made it.
     if response.axis in machine.axes and machine.axes[response.axis].controller:
         check_run(recording, machine, response.axis, place)
     return response
 
 
 def _is_trace(path: Path) -> bool:
-    """Return whether a table begins with a column of time: a recording, not a response."""
+    """Return whether a table is a recording: it has a column of time, and a response has none."""
     _, rows = rows_of(
         read_text(path, MAX_BYTES, RecordingError, "file of measured data", "utf-8-sig")
     )

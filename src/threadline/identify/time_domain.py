@@ -1,15 +1,16 @@
 """Residuals of recorded runs: measured positions less the positions of the simulated machine.
 
-A sample is taken before the controller acts on it (``Recording``), so the volts of sample k + 1 act
-from tick k on.
+The recorded positions are compared with a simulation, which is driven in one of two ways:
 
-*Driven by volts.* Where the volts of every tick of a controller were recorded, they drive the
-simulated plant, without the loop. The residuals are then the rounding of the encoder alone.
+*Driven by volts.* If the volts of every tick of the controller were recorded, they drive the
+simulated plant, without its loop. If the model is right, the residuals are only the rounding of the
+encoder. Each sample is taken before the controller acts on it (``Recording``), so the volts in
+sample k + 1 act from tick k on.
 
-*Driven by commands.* A controller with a faster clock than its references (``stitcher``) changes
-its volts between the samples. Then the whole loop is simulated under the recorded commands, with
-every quantiser, and the positions are compared. The recording does not tell where between two
-counts an encoder stands, so the model is the mean over several such places.
+*Driven by commands.* Without recorded volts, or if the controller's clock is faster than the clock
+of its references (``stitcher``), the volts between the samples are unknown. Then the recorded
+commands drive the whole simulated loop, with every quantiser. The recording does not show where
+within a count each encoder starts, so the simulated position is a mean over several such starts.
 
 Both simulations have the dead times, friction, play and limits of the machine file.
 """
@@ -40,10 +41,10 @@ from threadline.machine.quantity import Provenance, Quantity
 from threadline.machine.variants import load_by_counts
 from threadline.twin.batch import BatchOptions, simulate_batch
 
-_PHASES = 8
-_MOVING_S = 0.5
-_WINDOWS = 40
-_UNLIKELY = 6.0
+_PHASES = 8  # starts of an encoder within a count
+_MOVING_S = 0.5  # time after a change of the command in which an axis counts as moving
+_WINDOWS = 40  # length of the run over the window of a mean residual
+_UNLIKELY = 6.0  # mean residual that no noise explains, in deviations of a sample
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -55,15 +56,16 @@ class RecordingData:
     machine
         The machine that ran.
     simulated
-        The machine that is simulated: the same, or one whose commands are volts.
+        The machine that is simulated: the same, or its copy with commands in volts
+        (``driven_by_volts``).
     commands
         Commands of the simulated machine, tick by tick.
     measured
-        Per channel of the simulated machine: (n,) measured positions, in counts.
+        For each channel of the simulated machine: (n,) measured positions, in counts.
     used
-        (n,) whether a sample is used: an axis at rest carries no information.
+        (n,) whether a sample is used. An axis at rest carries no information.
     scale
-        Per channel: counts per unit of the simulated samples.
+        For each channel: counts per m or rad of its simulated samples.
     place
         The file of the recording.
     by_volts
@@ -86,36 +88,37 @@ class RecordingData:
 
     @property
     def step(self) -> float:
-        """Relative step of a numerical derivative, larger where quantisation makes the model rough.
+        """Relative step of numerical derivatives, larger where the model is not smooth.
 
-        Stiction makes it rough, too: a body breaks away at the first level of the volts above it.
+        Quantisers in the loop make it rough. So does stiction: a body breaks away at the first DAC
+        level whose force exceeds the stiction.
         """
         sticks = any(body.friction is not None for body in self.machine.bodies.values())
         return 1e-3 if self.by_volts and not sticks else 0.03
 
     @property
     def floor(self) -> FloatArray:
-        """(m,) least noise: the rounding of an encoder, 1/sqrt(12) of a count."""
+        """(m,) least standard deviation of the noise: rounding to counts, 1/sqrt(12) of a count."""
         return np.full(len(self.sources), 1.0 / np.sqrt(12.0))
 
     @property
     def robust(self) -> bool:
-        """Whether the fit discounts outliers: no, residuals are rounding or errors of the model."""
+        """False: residuals are rounding or errors of the model, so none counts as an outlier."""
         return False
 
     @property
     def normalised(self) -> bool:
-        """Whether all magnitudes share an unknown factor: no, positions and volts are absolute."""
+        """False: positions and volts are absolute, so no unknown factor is common to all."""
         return False
 
     @property
     def length(self) -> int:
-        """Number of samples of a channel that are used."""
+        """Number of samples used of each channel."""
         return int(np.sum(self.used))
 
     @property
     def sources(self) -> IntArray:
-        """(m,) source of each residual: one for each channel."""
+        """(m,) index of the channel of each residual."""
         return np.repeat(np.arange(len(self.measured)), self.length)
 
     def residuals(self, numbers: Mapping[str, FloatArray]) -> FloatArray:
@@ -124,7 +127,7 @@ class RecordingData:
         Parameters
         ----------
         numbers
-            Dotted name to (variants,) SI values.
+            (variants,) SI values of each number, by its dotted name in the machine file.
         """
         (count,) = {len(value) for value in numbers.values()} or {1}
         phase_count = 1 if self.by_volts else _PHASES
@@ -142,7 +145,8 @@ class RecordingData:
                 ),
             )
         except MachineError:
-            # A variant cannot be simulated: find it; the caller takes NaN as infinitely wrong.
+            # One of the variants cannot be simulated: simulate each alone. The bad one gets NaN,
+            # which the fit takes as an infinite residual.
             if count == 1:
                 return np.full((1, len(self.measured) * self.length), np.nan)
             parts = [
@@ -154,22 +158,23 @@ class RecordingData:
         for name, recorded in self.measured.items():
             simulated = batch.samples[name][: len(self.used)][self.used] * self.scale[name]
             mean = simulated.reshape(self.length, count, phase_count).mean(axis=2)
-            differences = recorded[self.used] - mean.T
+            residual = recorded[self.used] - mean.T
             if self.by_volts:
-                # The place between two counts at the start is unknown: the mean is removed.
-                differences -= differences.mean(axis=1, keepdims=True)
-            parts.append(differences)
+                # The start of the encoder within a count is unknown, so the mean is removed.
+                residual -= residual.mean(axis=1, keepdims=True)
+            parts.append(residual)
         return np.concatenate(parts, axis=1)
 
     def left_over(self, residual: FloatArray, noise: FloatArray) -> list[str]:
-        """Describe where the recording differs from the fit by more than its noise allows.
+        """Describe where each channel differs from the fit by more than noise explains.
 
-        The mean over each fortieth of the run is compared with six times the noise of a sample.
+        The largest mean residual over any window of a fortieth of the used samples is compared with
+        six standard deviations of the noise of one sample.
 
         Parameters
         ----------
         residual, noise
-            (m,) residuals, channel after channel, and their noise.
+            (m,) residuals, channel after channel, and the standard deviation of their noise.
         """
         width = max(self.length // _WINDOWS, 1)
         time_s = np.flatnonzero(self.used) * float(self.machine.tick_clock.period_s)
@@ -189,7 +194,7 @@ class RecordingData:
 def recording_data(
     recording: Recording, machine: Machine, path: Path, axis: str = ""
 ) -> RecordingData:
-    """Return a recording as data for a fit.
+    """Prepare a recording as data for a fit.
 
     Parameters
     ----------
@@ -198,14 +203,14 @@ def recording_data(
     path
         File of the recording.
     axis
-        Axis to use; empty: all axes that moved.
+        The only axis to use; empty for all axes that moved.
 
     Raises
     ------
     RecordingError
         If commands or measured positions are missing, have gaps or another tick than the machine,
-        it has several runs, nothing moves, or the controller was at its clamp for a fifth of the
-        run.
+        the recording has several runs, nothing moves, or the controller was at its clamp for more
+        than a fifth of the run.
     OptionError
         If there is no such axis, or an axis of the machine has no controller.
     MachineError
@@ -241,7 +246,7 @@ def recording_data(
         if (volts := columns.get((ChannelKind.VOLTAGE, name))) is not None:
             refuse_clipped(machine, name, volts[:powered], place)
     by_volts = all(_volts_of_each_tick(columns, name, machine) for name in fitted_axes)
-    # In the loop the volts follow from the positions, with more rounding, and add no information.
+    # In a simulated loop only positions are compared: the controller computes the volts from them.
     ending = "load" if by_volts else "measured"
     scale = {f"{name}.{ending}": machine.axes[name].counts.si for name in fitted_axes}
     measured = {
@@ -266,7 +271,7 @@ def recording_data(
     )
 
 
-_LEVELS = 20
+_LEVELS = 20  # bits of the DAC that turns a command into volts
 _STILL = "still-for-fit"  # a body that no force moves
 
 
@@ -279,15 +284,16 @@ def _volts_of_each_tick(
 
 
 def driven_by_volts(machine: Machine, axes: Sequence[str]) -> Machine:
-    """Return a machine whose commands are volts: one count is ``2 range / 2^20`` at the amplifier.
+    """Return a copy of the machine with open loops and commands in volts.
 
-    The controller of each axis reads the encoder of a body that stands still, with a gain of 1, and
-    the load of the axis is the reading of its own encoder, in m or rad.
+    One count of a command is ``2 range / 2^20`` volts at the amplifier: the controller becomes a
+    gain of 1, whose encoder reads a body that never moves. The position of the load becomes the
+    reading of the axis's own encoder, in m or rad.
 
     Parameters
     ----------
     axes
-        Axes to change; the others keep their loops.
+        Axes whose loops are opened; the other axes keep their loops.
 
     Raises
     ------
@@ -299,10 +305,10 @@ def driven_by_volts(machine: Machine, axes: Sequence[str]) -> Machine:
     controllers, axes_changed = dict(machine.controllers), dict(machine.axes)
     for name in axes:
         axis = machine.axes[name]
-        shared = machine.controllers[axis.controller]
-        if isinstance(shared, StateSpaceController) and len(shared.references) > 1:
+        controller = machine.controllers[axis.controller]
+        if isinstance(controller, StateSpaceController) and len(controller.references) > 1:
             raise MachineError(
-                f"controllers.{axis.controller} moves the axes {', '.join(shared.references)} "
+                f"controllers.{axis.controller} moves the axes {', '.join(controller.references)} "
                 f"together, and a fit of a recording takes axis {name} alone",
                 place=machine.place,
                 remedy="Fit with a machine file in which each axis has a controller of its own.",
@@ -333,15 +339,15 @@ def driven_by_volts(machine: Machine, axes: Sequence[str]) -> Machine:
 def _volt_commands(
     commands: TickTable, machine: Machine, volts: Mapping[str, FloatArray]
 ) -> TickTable:
-    """Return commands in which the axes of ``volts`` have levels of volts instead of counts."""
+    """Return commands in which a count of each axis in ``volts`` is a step of its voltage."""
     (block,) = commands
     rows = block.counts.copy()
     for name, samples in volts.items():
         level = 2.0 * machine.controller_of(name).dac.range.si / 2.0**_LEVELS
-        # The volts that act from tick k on are sampled at tick k + 1; the first row follows tick 0.
+        # Sample k + 1 has the volts that act from tick k on; row 0 acts from tick 0 on.
         acting = np.rint(samples[1:] / level).astype(np.int64)
         changes = np.diff(acting, append=acting[-1:])
-        changes[0] += acting[0]  # a run may begin with volts that hold a load
+        changes[0] += acting[0]  # the first volts may not be 0: they may hold a load
         rows[:, machine.axis_names.index(name)] = changes
     volt_block = TickBlock(first_tick=0, counts=rows, operation=block.operation)
     return replace(commands, blocks=Stream(iter, (volt_block,)))
@@ -350,7 +356,7 @@ def _volt_commands(
 def _in_motion(
     columns: Mapping[tuple[ChannelKind, str], FloatArray], axes: Sequence[str], machine: Machine
 ) -> NDArray[np.bool_]:
-    """Return the samples at which a command changes, or has changed within half a second."""
+    """Return (n,) whether a command changes at the sample or changed in the half second before."""
     moving = np.zeros(len(columns[ChannelKind.COMMANDED, axes[0]]), dtype=np.bool_)
     for name in axes:
         moving[1:] |= np.diff(columns[ChannelKind.COMMANDED, name]) != 0.0

@@ -1,8 +1,8 @@
-"""Rows of counts that LinuxCNC's HAL plays, driven by the messages of an executor.
+"""A link that lets LinuxCNC's HAL play the rows of counts that the executor sends.
 
-Sent rows are kept here as in the simulated machine, and the clock advances by the samples of HAL: a
-tick is over when its sample has come back. HAL's commands to the drives must equal the sent rows,
-count by count.
+The link keeps the rows that HAL has not played yet, as the simulated machine does. Its clock
+follows HAL: a tick is over when HAL's sample of this tick has arrived. The positions that HAL
+commands to the drives must equal the sent rows to the count.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ from threadline.machine import Machine
 from threadline.twin.row_session import Part, RowSession
 
 _REPORTS_S = 0.005
-"""Lateness is measured in ticks, or in this time, s, if a tick is shorter."""
+"""Least unit in which lateness is reported, s; the unit is one tick if a tick is longer."""
 
 
 class _Played(RowSession):
-    """Rows that HAL plays: measured values are HAL's samples."""
+    """A session whose rows HAL plays; its readings are the samples of HAL."""
 
     def __init__(
         self, machine: Machine, start: IntArray, sampled: Callable[[int], Samples], *, plant: bool
@@ -40,10 +40,10 @@ class _Played(RowSession):
         return self._tick
 
     def _tripped(self, name: str) -> bool:  # noqa: ARG002
-        return False  # nothing is wired to HAL
+        return False  # no limit switch is wired to HAL
 
     def _read(self, part: Part) -> Mapping[Any, FloatArray]:
-        """Return the samples of the ticks of a part."""
+        """Return HAL's samples of the ticks of a part; compare its commands with the sent rows."""
         found = self._sampled(len(part.travelled))
         self._tick += len(part.travelled)
         wrong = np.abs(found.commanded - self._start - part.travelled).max(initial=0.0)
@@ -54,7 +54,7 @@ class _Played(RowSession):
         return {"commanded": found.commanded, "read": np.rint(found.read)}
 
     def fail(self, why: str) -> None:
-        """Record a fault, after which nothing is known."""
+        """End the run with a fault: drop the remaining rows and events, and record the reason."""
         self.failed = True
         self._rows.clear()
         self._events.clear()
@@ -102,16 +102,16 @@ def _channels(machine: Machine, *, plant: bool) -> list[Channel]:
 
 
 class HalRows(SimRows):
-    """A machine whose rows HAL plays; see ``SimMachine``.
+    """A machine whose rows HAL plays; its messages are the messages of ``SimMachine``.
 
     Parameters
     ----------
     machine, start, tell
         See ``SimMachine``.
     hal
-        The running HAL.
+        The session with the running HAL.
     plant
-        Whether HAL contains a plant.
+        Whether HAL simulates a plant; without one, no measured positions are reported.
     """
 
     def __init__(
@@ -124,7 +124,7 @@ class HalRows(SimRows):
         plant: bool,
     ) -> None:
         self._hal, self._plant = hal, plant
-        self._first_record = 0  # record number of the first tick of the run
+        self._first_record = 0  # number of HAL's record at the first tick of the run
         self._came: list[Samples] = []
         super().__init__(machine, start, tell)
         self._period_s = float(machine.tick_clock.period_s)
@@ -136,61 +136,61 @@ class HalRows(SimRows):
     def _start_anew(self) -> str:
         why = super()._start_anew()
         self._hal.fill()
-        self._first_record = self._hal.end  # after the waiting records, all at rest
+        self._first_record = self._hal.end  # the records before it are all at rest
         self._came = []
         return why
 
     def _take_refill(self, message: Message) -> str:
-        """Replace the rows from a tick on, in HAL, too."""
+        """Replace the rows from a tick on, both in HAL and in the link."""
         first = int(message.head["first"])
         at, counts = message.arrays["at"], message.arrays["counts"]
         if why := self._unfit(first, at):
             return why
         moved = np.cumsum(np.asarray(counts, np.float64), axis=0)
-        behind = self._start + at + (moved if len(moved) else np.zeros((1, len(at))))
-        # At the tick ``first`` the axes still stand at ``at``, whatever follows.
-        if not self._hal.replace(self._first_record + first + 1, behind):
+        positions = self._start + at + (moved if len(moved) else np.zeros((1, len(at))))
+        # The position ``at`` at the tick ``first`` stays: the first new row sets the next record.
+        if not self._hal.replace(self._first_record + first + 1, positions):
             return "that tick is past"
         return super()._take_refill(message)
 
     def go_on(self, waited_s: float) -> None:
-        """Take HAL's samples; report them if a run has begun.
+        """Read HAL's new samples; if a run has begun, report them, or a fault of HAL.
 
         Parameters
         ----------
         waited_s
-            Time since the last call.
+            Time since the last call, s.
         """
         self._hal.fill()
-        found = self._hal.samples()
-        fresh = np.diff(found.record, prepend=-1) > 0  # at an underrun the last record repeats
-        self._silent_s = 0.0 if len(found.record) else self._silent_s + waited_s
+        arrived = self._hal.samples()
+        is_new = np.diff(arrived.record, prepend=-1) > 0  # HAL repeats a record at an underrun
+        self._silent_s = 0.0 if len(arrived.record) else self._silent_s + waited_s
         if not self.begun or self._session.failed:
             return
-        kept = fresh & (found.record >= self._first_record)
-        late = np.max(found.interval_s, initial=0.0) - self._period_s
-        late += self._period_s * np.count_nonzero(~fresh)
-        due = Samples.joined([*self._came, found.at(kept)])
-        numbers = due.record
-        why = ""
+        kept = is_new & (arrived.record >= self._first_record)
+        late_s = np.max(arrived.interval_s, initial=0.0) - self._period_s
+        late_s += self._period_s * np.count_nonzero(~is_new)
+        waiting = Samples.joined([*self._came, arrived.at(kept)])
+        records = waiting.record
+        fault = ""
         if self._hal.lost:
-            why = f"{self._hal.lost} samples of HAL were lost"
-        elif (np.diff(numbers) != 1).any():
-            why = "samples of HAL are missing"
+            fault = f"{self._hal.lost} samples of HAL were lost"
+        elif (np.diff(records) != 1).any():
+            fault = "samples of HAL are missing"
         elif self._silent_s > SILENT_S:
-            why = f"HAL's thread has stood still for {self._silent_s:.1f} s"
-        self._came = [due]
-        if why:
+            fault = f"HAL's thread has stood still for {self._silent_s:.1f} s"
+        self._came = [waiting]
+        if fault:
             assert isinstance(self._session, _Played)
-            self._session.fail(why)
+            self._session.fail(fault)
             self._report(self.tick, [self._session.advance(ticks=0)], 0.0)
-        elif len(numbers):
-            self.play(len(numbers), float(late / max(self._period_s, _REPORTS_S)))
+        elif len(records):
+            self.play(len(records), float(late_s / max(self._period_s, _REPORTS_S)))
 
     def _take_samples(self, ticks: int) -> Samples:
-        """Return the samples of the next ticks."""
-        whole = Samples.joined(self._came)
-        if len(whole.record) < ticks:
-            raise LinkFaultError(f"{ticks} ticks of HAL were due, {len(whole.record)} have come")
-        self._came = [whole.at(slice(ticks, None))]
-        return whole.at(slice(ticks))
+        """Remove the samples of the next ``ticks`` ticks from the waiting samples; return them."""
+        waiting = Samples.joined(self._came)
+        if len(waiting.record) < ticks:
+            raise LinkFaultError(f"{ticks} ticks of HAL were due, {len(waiting.record)} have come")
+        self._came = [waiting.at(slice(ticks, None))]
+        return waiting.at(slice(ticks))

@@ -1,10 +1,11 @@
-"""Comparison of a plan with programs for firmwares that plan by themselves, by their own code.
+"""Comparison of a plan with a program for a firmware that plans its own motion.
 
-Where the code of the firmware is at hand (``klipper_host``, ``grbl_steps``, ``marlin_steps``), it
-runs the program, and every step that it makes is compared. With ``--interpolation firmware`` the
-plan itself is the firmware's motion of the job: steps and plan are compared at the same instants.
-Every other plan has its own timing. Then the program must follow the path of the plan, and its
-steps are compared with Threadline's model of the firmware, which also predicts run times.
+The program must follow the path of the plan. If the code of the firmware is available
+(``klipper_host``, ``grbl_steps``, ``marlin_steps``), it also runs the program, and each step of its
+motors is compared with a reference. With ``--interpolation firmware`` the plan is timed as the
+firmware times the job, so the plan is the reference. Any other plan has other times; then the
+reference is the motion that Threadline's model of the firmware makes of the program. The same model
+predicts run times.
 """
 
 from __future__ import annotations
@@ -39,31 +40,33 @@ from threadline.readback.stepped import Beside, Steps, beside
 SEGMENT_S = 0.01
 """Time for which grbl keeps one speed, s: 1 / ``ACCELERATION_TICKS_PER_SECOND``."""
 STEPS = 1.0
-"""Steps of a motor by which its place may differ from the plan's at the same instant."""
+"""Largest distance, in motor steps, between a step and the reference at the same instant."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Oracle:
-    """The code of a firmware.
+    """The code of a firmware, which runs programs on this computer.
 
     Parameters
     ----------
     name
         Name, for messages.
     missing
-        Function that returns why it cannot be run here; empty if it can.
+        Function that returns why the code cannot be run here; an empty text if it can.
     unfit
         Function of a machine and the axes of a job that returns why the code cannot run the job;
-        empty if it can.
+        an empty text if it can.
     run
-        Function of program, machine, axes and steps per mm or degree that returns the steps.
+        Function that runs a program and returns the steps of each axis. Its arguments are the
+        program, the machine, the axes, and the steps per mm or degree of each axis.
     same_instant
-        Whether places are compared at the same instant; if not, the distance from the path is
-        compared.
+        Whether positions are compared at the same instant; if not, the distance of each step from
+        the path is compared.
     slack_s
-        Time by which a step may differ in addition to its share of the time, s.
+        Time, s, that is added to the limit of a step's difference in time.
     apart
-        Function of a machine that returns differences of this code from the machine file.
+        Function of a machine that returns how the settings compiled into the code differ from the
+        machine file; an empty text if they do not.
     """
 
     name: str
@@ -100,23 +103,23 @@ ORACLES: Mapping[str, Oracle] = {
         apart=marlin_steps.apart,
     ),
 }
-"""Oracles by target. Programs for other firmwares are read back by Threadline alone."""
+"""Oracles by target. Programs for other targets are read only by Threadline's own reader."""
 
 
 def missing_oracle(target: str) -> str:
-    """Return why the code of a firmware cannot be run here; empty if it can, or none is known."""
+    """Return why the code of a firmware cannot be run here; empty if it can, or has no oracle."""
     return ORACLES[target].missing() if target in ORACLES else ""
 
 
 def compare_firmware(target: str, plan: Plan, path: Path) -> Found:
-    """Compare a program with ``plan`` by the firmware's own code, and along its path.
+    """Compare the path of a program with ``plan``, and the steps that the firmware's code makes.
 
     Raises
     ------
     JobError, RecordingError
         If the program cannot be read, or the firmware refuses it.
     OptionError
-        If the firmware's code is named and does not run.
+        If an environment variable names the firmware's code, and the code does not run.
     """
     read_back = compare_read_back(target, plan, path)
     axes = plan.motion.trajectory.axes
@@ -130,37 +133,41 @@ def compare_firmware(target: str, plan: Plan, path: Path) -> Found:
         with_reason = replace(read_back, note="; ".join(filter(None, (read_back.note, reason))))
         return with_reason if reference is None else _by_model(target, plan, path, with_reason)
     table = tick_table(plan.commands)
-    counts = dict(zip(table.axes, table.counts_per_unit.tolist(), strict=True))
-    shown = {
-        axis: counts[axis] / 1e3 if plan.machine.axes[axis].kind == "linear"
-        else float(np.radians(counts[axis]))
+    counts_per_si = dict(zip(table.axes, table.counts_per_unit.tolist(), strict=True))
+    steps_per_shown_unit = {
+        axis: counts_per_si[axis] / 1e3 if plan.machine.axes[axis].kind == "linear"
+        else float(np.radians(counts_per_si[axis]))
         for axis in axes
     }  # fmt: skip
-    steps = ORACLES[target].run(path, plan.machine, axes, shown)
-    per_si = np.array([counts[axis] for axis in axes])
+    steps = ORACLES[target].run(path, plan.machine, axes, steps_per_shown_unit)
+    counts_in_order = np.array([counts_per_si[axis] for axis in axes])
     start = reference(np.zeros(1))[0]
-    differences = beside(steps, reference, per_si, start, radius_m(plan))
+    differences = beside(steps, reference, counts_in_order, start, radius_m(plan))
     return _differences_found(target, plan, path, read_back, differences, reference)
 
 
-def _by_model(target: str, plan: Plan, path: Path, read: Found) -> Found:
-    """Return ``read`` with the time difference by the model of the firmware's planner.
+def _by_model(target: str, plan: Plan, path: Path, read_back: Found) -> Found:
+    """Add the difference between the run time by Threadline's model and the duration of the plan.
 
-    Only a plan that the firmware itself makes has that time; any other is returned as it is.
+    Only a plan with the interpolation ``firmware`` has the times of the firmware; for any other
+    plan, ``read_back`` is returned unchanged.
     """
     if plan.motion.path.interpolation != FIRMWARE:
-        return read
+        return read_back
     machine = replace(plan.machine, operator=None)
     job = read_written(path, machine, target)
     run_s = as_run_times_s(target, plan.motion.programmed, job, plan.machine)
     if run_s is None:
-        return read
+        return read_back
     limit_s = TIME_SHARE * plan.duration_s
-    return replace(read, time_s=run_s[1] - plan.duration_s, time_limit_s=limit_s)
+    return replace(read_back, time_s=run_s[1] - plan.duration_s, time_limit_s=limit_s)
 
 
 def _reference(target: str, plan: Plan, path: Path) -> Trajectory | None:
-    """Return the plan where the firmware itself made it, else the model of the firmware."""
+    """Return the trajectory with which the steps are compared; see the module.
+
+    None if the machine file has no planner of this firmware.
+    """
     planner = plan.machine.planner
     if planner is None or planner.kind != BOARDS[target].planner:
         return None
@@ -174,24 +181,22 @@ def _reference(target: str, plan: Plan, path: Path) -> Trajectory | None:
 
 
 def _differences_found(
-    target: str, plan: Plan, path: Path, read: Found, differences: Beside, reference: Trajectory
+    target: str, plan: Plan, path: Path, found: Found, differences: Beside, reference: Trajectory
 ) -> Found:
-    oracle, of_plan = ORACLES[target], reference is plan.motion.trajectory
+    oracle, is_plan = ORACLES[target], reference is plan.motion.trajectory
     table = tick_table(plan.commands)
     radii = dict(zip(plan.motion.trajectory.axes, radius_m(plan).tolist(), strict=True))
-    sizes_m = {
+    step_sizes_m = {
         axis: radii[axis] / scale
         for axis, scale in zip(table.axes, table.counts_per_unit.tolist(), strict=True)
     }
-    fault = ""
-    if read.place > PLACE_M:
-        fault = f"it leaves the path of the plan by {1e6 * read.place:.3g} um at {read.at}"
-    reference_text = "with the plan" if of_plan else "with the model of its planner"
-    note = f"steps compared {reference_text}; ends of moves within {1e6 * read.place:.2g} um; "
+    wrong_text = ""
+    if found.place > PLACE_M:
+        wrong_text = f"it leaves the path of the plan by {1e6 * found.place:.3g} um at {found.at}"
+    reference_text = "with the plan" if is_plan else "with the model of its planner"
+    note = f"steps compared {reference_text}; ends of moves within {1e6 * found.place:.2g} um; "
     note += "".join(
-        f"{difference_text}; "
-        for difference_text in (oracle.apart(plan.machine),)
-        if difference_text
+        f"{settings_text}; " for settings_text in (oracle.apart(plan.machine),) if settings_text
     )
     by_steps = Found(
         reader=oracle.name,
@@ -199,12 +204,12 @@ def _differences_found(
         place_limit=STEPS,
         unit="step",
         axis=differences.axis,
-        tool_m=differences.off * sizes_m[differences.axis] if differences.axis else 0.0,
+        tool_m=differences.off * step_sizes_m[differences.axis] if differences.axis else 0.0,
         time_s=differences.late_s,
         time_limit_s=TIME_SHARE * reference.duration_s + oracle.slack_s,
         at=f"{differences.at_s:.4g} s" if differences.axis else "",
         note=note + firmware_note(target, plan, path),
-        wrong=fault,
+        wrong=wrong_text,
         curve=differences.curve,
     )
     if oracle.same_instant:
@@ -212,7 +217,7 @@ def _differences_found(
     return replace(
         by_steps,
         place=differences.path_m,
-        place_limit=PLACE_M + STEPS * max(sizes_m.values()),
+        place_limit=PLACE_M + STEPS * max(step_sizes_m.values()),
         unit="m",
         axis="",
         tool_m=differences.path_m,

@@ -1,4 +1,4 @@
-"""Figures of searches and experiments: yield, mismatch, binding limits."""
+"""Figures of position steps, of a yield, and of the fastest settings of machines that differ."""
 
 from __future__ import annotations
 
@@ -23,15 +23,16 @@ if TYPE_CHECKING:
 
 
 NOTHING_TRIED: Mapping[str, Campaign] = MappingProxyType({})
-_LATEST_S = 3.0
-_STILL = 0.02
+"""No experiments: for a report without ``--experiments``."""
+_LATEST_S = 3.0  # latest time that is drawn
+_STILL = 0.02  # deviation from the end of a step, as a share of it, that counts as rest
 
 
 def experiment_figure(campaign: Campaign) -> tuple[Figure, str]:
-    """Return a figure of the steps of an axis, and its caption.
+    """Return a figure of the position steps of an axis, and its caption.
 
-    The upper panels show motor and load over time, as shares of the step. The lower panels show the
-    largest current and the overshoot of the load over the size of the step.
+    The upper panels show the positions of motor and load over time, divided by the step. The lower
+    panels show the largest current and the overshoot of the load over the size of the step.
     """
     from matplotlib.figure import Figure
 
@@ -63,16 +64,16 @@ def experiment_figure(campaign: Campaign) -> tuple[Figure, str]:
     _over_size(grid[1, 1], campaign, lambda run: 100.0 * run.load_overshoot)
     grid[1, 1].set_ylabel("overshoot of the load [%]")
     grid[1, 1].legend(fontsize=6, loc="upper right")
-    figure.suptitle(f"Axis {campaign.axis}: steps of the simulated machine, words quantised")
+    figure.suptitle(f"Axis {campaign.axis}: steps of the simulated machine, quantised")
     onset = campaign.saturates_from_rad
     limited = "no step reaches the current limit" if onset is None else (
         f"the current is limited from {onset:.3f} rad on"
     )  # fmt: skip
-    return figure, f"Steps of the motor forth, larger ones darker; {limited}."
+    return figure, f"Forward steps of the motor; larger steps are darker; {limited}."
 
 
 def _over_size(axes: Axes, campaign: Campaign, of: Callable[[StepRun], float]) -> None:
-    """Draw one number of every step over the size of the step, forward and back separately."""
+    """Draw ``of(run)`` over the size of the step: one curve for each direction."""
     back_style = {**WORST, "markersize": 6}
     for sign, label, style in (
         (1, "forth", {**ACTUAL, "marker": "o", "markersize": 3}),
@@ -89,17 +90,17 @@ def _over_size(axes: Axes, campaign: Campaign, of: Callable[[StepRun], float]) -
 
 
 def experiment_table(campaign: Campaign) -> Table:
-    """Return the table of the steps of an axis, with sweep and constant speed in its note."""
+    """Return the table of the position steps of an axis; its note has sweep and constant speed."""
     title, header, rows = campaign.table()
     return Table(title=title, header=tuple(header), rows=rows, note=campaign.summary())
 
 
-_MOST = 8
-_POINTS = 400
+_MOST = 8  # criteria drawn
+_POINTS = 400  # machines drawn in a curve
 
 
 def draw_yield(found: Yield, title: str) -> Figure:
-    """Return a figure with the cumulative distribution of each criterion with a limit."""
+    """Return a figure: for each criterion with a limit, its distribution over the machines."""
     rows = limited_rows(found)[:_MOST]
     with figure_style():
         figure = Figure(figsize=(7.2, 1.2 + 1.5 * max((len(rows) + 1) // 2, 1)))
@@ -122,7 +123,7 @@ def draw_yield(found: Yield, title: str) -> Figure:
 
 
 def _up_to(values: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return at most ``_POINTS`` values, and the share of machines up to each."""
+    """Return at most ``_POINTS`` sorted values, and for each the share of machines up to it."""
     measured = np.sort(values[np.isfinite(values)])
     if not len(measured):
         return measured, measured
@@ -140,10 +141,15 @@ def write_yield(found: Yield, title: str, folder: Path) -> Path:
 
 
 _NAMES = {-1.0: "lower end", 0.0: "as in the file", 1.0: "upper end"}
+"""Names of the values of ``Mismatch.mass`` and ``Mismatch.stiffness``."""
 
 
 def draw_mismatch(cells: Sequence[Mismatch], title: str, searched: Searched) -> Figure:
-    """Return a figure of the fastest setting in spec over the stiffness, a line for each mass."""
+    """Return a figure of the best value in spec over the stiffness of the springs.
+
+    There is a line for each mass of the loads. Mass and stiffness are at the lower end of their
+    tolerances, as in the file, or at the upper end.
+    """
     with figure_style():
         figure = Figure(figsize=(5.6, 3.4))
         axes, has_gaps = figure.add_subplot(), False
@@ -185,7 +191,7 @@ def _drawn(cell: Mismatch, searched: Searched) -> float:
 
 
 def _nothing(cells: Sequence[Mismatch], what: str) -> str:
-    """Return the text of a figure without points; it names the limit that fails."""
+    """Return the text of a figure without points: no machine is in spec, and which limits fail."""
     limits = dict.fromkeys(cell.limited_by.replace("_", " ") for cell in cells)
     failing = " and ".join(limits)
     return f"no {what} is in spec on any of the {len(cells)} machines:\n{failing} fails at all"

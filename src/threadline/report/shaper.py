@@ -1,4 +1,4 @@
-"""The report of a shaper: its impulses, its step and its sensitivity curve."""
+"""The report of an input shaper: its impulses, its shaped step and its sensitivity curve."""
 
 from __future__ import annotations
 
@@ -18,29 +18,31 @@ from threadline.report.style import ACTUAL, LIMIT, PLANNED, PROGRAMMED, figure_s
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-_SPAN = (0.4, 1.6)
-_POINTS = 601
+_SPAN = (0.4, 1.6)  # frequencies drawn: shares of the lowest and of the highest mode
+_POINTS = 601  # of a curve
 _MOST_HZ = 200.0  # highest frequency in the figure of a measurement
-_NAME_WIDE = 0.12  # width of the name of a mode, as a share of the figure
+_NAME_WIDE = 0.12  # width of the label of a mode, as a share of the figure
 _READABLE: Any = {"facecolor": "white", "edgecolor": "none", "pad": 0.4}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class MeasuredPower:
-    """Power of a measured vibration, the mode fitted to it, and trains to compare on it.
+    """The power spectrum of a measured vibration, the mode fitted to it, and shapers to compare.
 
     Parameters
     ----------
     axis
-        Name of the axis.
+        Name of the axis that was shaken.
     lines_hz, power, fitted
-        (k,) power around the mode, and the fit.
+        (k,) frequencies around the mode, the power measured at each, and the power of the fitted
+        mode.
     spectrum_hz, spectrum
-        (m,) power of all axes over the whole range, weighted as Klipper does.
+        (m,) frequencies of the whole range, and the power of all axes at each, weighted as in
+        Klipper.
     trains
-        Shapers whose residual vibration is drawn at ``damping_ratio``.
+        Shapers (impulse trains) whose residual vibration is drawn.
     damping_ratio
-        Damping ratio of the mode.
+        Damping ratio of the fitted mode; the residual vibrations are drawn for it.
     """
 
     axis: str
@@ -66,8 +68,12 @@ def write_shaper(
 
     Parameters
     ----------
+    modes
+        Modes for which the shaper was designed.
+    tolerances
+        Residual vibrations allowed, drawn as limits.
     measured
-        The measurement that gave the modes; None if the user gave the modes.
+        Measurement to which the modes were fitted; None if the user typed the modes.
 
     Raises
     ------
@@ -88,11 +94,11 @@ def write_shaper(
             figures=figures,
             captions={
                 "measured": "Above: the measured power around the mode, and the mode fitted to it. "
-                "Below: the vibration that each shaper leaves, weighted by the power of all axes "
-                "as in Klipper, as a share of its peak.",
-                "sensitivity": "Residual vibration over frequency, 1 being the vibration of one "
-                "unit impulse; the damping ratio is held. Dashed upright: the modes.",
-                "step": "The impulses, and the levels that a unit step passes through.",
+                "Below: the residual vibration with each shaper, and the power of all axes as a "
+                "share of its peak, weighted as in Klipper.",
+                "sensitivity": "Residual vibration over frequency at a constant damping ratio; 1 "
+                "is the vibration after one unit impulse. Dashed vertical lines: the modes.",
+                "step": "The impulses, and the unit step after shaping.",
             },
             facts=[
                 *origin_facts(),
@@ -122,7 +128,7 @@ def _measured(measured: MeasuredPower) -> Figure:
         residual = residual_vibration(train, fine_hz, measured.damping_ratio)
         below.plot(fine_hz, residual, label=train.name, **style)
     below.set(xlabel="frequency, Hz", ylabel="residual vibration V", ylim=(0.0, 1.05))
-    below.set_title("What the shapers leave")
+    below.set_title("Residual vibration with each shaper")
     below.legend()
     return figure
 
@@ -145,7 +151,7 @@ def _sensitivity(
         axes.plot(f, residual_vibration(shaper, f, damping), label=label, **curve)
     for tolerance in dict.fromkeys(tolerances):
         axes.axhline(tolerance, label=f"tolerance {tolerance:g}", **LIMIT)
-    # The names of close modes are placed one below the other.
+    # Labels of modes with close frequencies are placed one below the other.
     row, previous_hz = 0, -highest_hz
     for m in sorted(modes, key=lambda one: one.frequency_hz):
         row = row + 1 if m.frequency_hz - previous_hz < _NAME_WIDE * (highest_hz - lowest_hz) else 0

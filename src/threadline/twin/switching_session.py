@@ -1,8 +1,9 @@
-"""A simulated machine with cylinders that receives its schedule in pieces.
+"""A simulated machine with cylinders that receives its switching schedule in pieces.
 
-The controller plays the schedule in its own scans: it switches outputs, and waits for contacts. It
-holds the schedule at the end of the part that it has received. At a given scan it switches
-everything off, unless it receives more before.
+The simulated PLC plays the schedule scan by scan: it switches outputs and waits for contacts. At
+the end of the pieces received so far it holds: the outputs stay as they are until the next
+piece arrives. ``switch_off_at`` guards against a sender that fails: at the scan given last, the PLC
+switches all outputs off. A sender that works moves this scan on in time.
 """
 
 from __future__ import annotations
@@ -53,30 +54,30 @@ _ENDLESS = 1 << 60
 
 
 class SwitchingSession:
-    """One simulated machine with cylinders that receives its schedule in pieces.
+    """One simulated machine with cylinders that receives its switching schedule in pieces.
 
-    The samples are the same as from ``simulate_switching``, to the bit, however the rows are
-    divided into pieces, if each piece arrives before the schedule reaches the end of the previous.
+    If each piece arrives before the schedule reaches the end of the piece before it, the samples
+    are equal to the samples of ``simulate_switching``, bit for bit, for any division into pieces.
 
     Parameters
     ----------
     machine
-        The simulated machine; at the start its cylinders are at stroke 0, and all outputs are off.
+        The simulated machine. It starts with its cylinders at stroke 0 and all outputs off.
     break_s
         Instant at which a beam of the light grid is broken, s; None for never.
 
     Attributes
     ----------
     channels
-        The channels of the blocks that are returned.
+        The channels of the blocks that ``advance`` returns.
     tick
-        Number of scans so far.
+        Number of scans simulated so far, including waits and holds.
     taken
-        Number of rows taken so far.
+        Number of rows received so far.
     failure
-        The reason why the machine itself ended the schedule; empty if it did not.
+        Which contact a wait did not get in time, in words; empty if no wait failed.
     ran_dry
-        Whether the machine switched everything off because it received no more of the schedule.
+        Whether all outputs were switched off because the scan of ``switch_off_at`` came first.
 
     Raises
     ------
@@ -102,15 +103,15 @@ class SwitchingSession:
         self.tick = self.taken = 0
         self.failure, self.ran_dry = "", False
         self._pending_events: list[Event] = []
-        self._under_way = 0  # operation of the last sample
-        self._stands = False  # at the end of the known schedule
+        self._under_way = 0  # the job operation of the last sample
+        self._stands = False  # the schedule holds at the end of what was received
         self._orders = self._made()
         self._progress = begin(self._orders)
-        self._progress.free[-1] = 0  # the gate at the end of the known schedule
+        self._progress.free[-1] = 0  # the contact of the gate (see _made) stays open
 
     @property
     def place(self) -> int:
-        """Number of scans of the schedule played so far, without waits."""
+        """Scans of the schedule played so far; scans spent in waits and holds do not count."""
         return int(self._progress.plc[TICK])
 
     @property
@@ -120,7 +121,7 @@ class SwitchingSession:
 
     @property
     def switched_off_at(self) -> int | None:
-        """Scan at which everything was switched off; None while the schedule runs."""
+        """Scan at which all outputs were switched off; None while the schedule runs."""
         plc = self._progress.plc
         if plc[PHASE] == RUNNING:
             return None
@@ -137,20 +138,20 @@ class SwitchingSession:
         duration: int | None,
         creeps: Sequence[Creep] = (),
     ) -> None:
-        """Take the next rows.
+        """Receive the next piece of the schedule.
 
         Parameters
         ----------
         ticks, levels, operation
-            (n,), (n, outputs) and (n,), as in ``SwitchSchedule``.
+            (n,), (n, outputs) and (n,): the rows, as in ``SwitchSchedule``.
         waits
-            Waits up to ``reach``.
+            Waits of this piece, in order, the last at or before ``reach``.
         reach
-            Scan of the schedule at which it is held until more is taken.
+            Scan of the schedule at which it holds until the next piece arrives.
         duration
-            Length of the whole schedule, if all of it is known; otherwise None.
+            Length of the whole schedule in scans; None if more pieces follow.
         creeps
-            How cylinders creep in these waits.
+            Creeps of cylinders during the waits of this piece.
 
         Raises
         ------
@@ -158,39 +159,39 @@ class SwitchingSession:
             If the rows do not follow the previous ones, or are not for this machine.
         """
         last = int(self._ticks[-1]) if len(self._ticks) else -1
-        follow = np.diff(ticks, prepend=last)
-        if levels.shape != (len(ticks), len(self._outputs)) or (follow <= 0).any():
+        gaps = np.diff(ticks, prepend=last)
+        if levels.shape != (len(ticks), len(self._outputs)) or (gaps <= 0).any():
             raise OptionError(f"rows of shape {levels.shape} do not follow scan {last}")
         plc = self._progress.plc
-        gone = max(int(plc[ROW]), 0)  # rows before the current one
-        self._ticks = np.concatenate((self._ticks[gone:], ticks))
-        self._levels = np.concatenate((self._levels[gone:], levels))
-        self._operation = np.concatenate((self._operation[gone:], operation))
+        played = max(int(plc[ROW]), 0)  # rows before the current row
+        self._ticks = np.concatenate((self._ticks[played:], ticks))
+        self._levels = np.concatenate((self._levels[played:], levels))
+        self._operation = np.concatenate((self._operation[played:], operation))
         self._waits = [*self._waits[int(plc[WAIT]) :], *waits]
         self._creeps = [*(c for c in self._creeps if c.tick >= plc[TICK]), *creeps]
         plc[WAIT] = 0
-        if gone:
-            plc[ROW] -= gone
-            plc[LATER] -= gone
+        if played:
+            plc[ROW] -= played
+            plc[LATER] -= played
         self._reach, self.taken = reach, self.taken + len(ticks)
         self._duration = _ENDLESS if duration is None else duration
         self._orders = self._made()
         self._progress = _carried(self._progress, self._orders)
 
     def switch_off_at(self, tick: int) -> None:
-        """Switch everything off at scan ``tick``, unless a later call changes the scan before."""
+        """Switch all outputs off at scan ``tick``; each call replaces the scan of the last call."""
         self._off_at = tick
 
     def finish(self, ended: RunEnd, text: str) -> None:
-        """Record how the run ended."""
+        """Add an event that says how the run ended to the next block."""
         self._pending_events.append(
             Event(tick=self.sample, kind=ended.value, operation=self._under_way, name=text)
         )
 
     def advance(self, scans: int) -> RecordingBlock:
-        """Simulate ``scans`` scans, and return the samples and events.
+        """Simulate ``scans`` scans; return their samples and events.
 
-        The samples end one second after everything was switched off.
+        The last sample is taken one second after all outputs were switched off.
         """
         until, first = self.tick + scans, self.sample
         parts = []
@@ -200,7 +201,7 @@ class SwitchingSession:
                 plc[PHASE], self.ran_dry = CALMING, True
             bound = min(until, self._off_at) if plc[PHASE] == RUNNING else until
             if plc[WAIT] == len(self._waits):
-                plc[STALL] = 0  # a hold has no time limit
+                plc[STALL] = 0  # holding at the gate has no time limit
             parts.append(self._run(bound))
             self._record_holds(int(plc[SCAN]) - self.tick)
             self.tick = int(plc[SCAN])
@@ -224,15 +225,15 @@ class SwitchingSession:
         )
 
     def _record_holds(self, scans: int) -> None:
-        """Record where a hold of the schedule began and ended within the last ``scans`` scans."""
+        """Record the events ``hold`` and ``resume`` of the last ``scans`` scans."""
         plc = self._progress.plc
-        held = plc[PHASE] == RUNNING and plc[WAIT] == len(self._waits)
-        stood = int(plc[STALL]) if held else 0
-        if self._stands and stood < scans and plc[PHASE] == RUNNING:
+        at_gate = plc[PHASE] == RUNNING and plc[WAIT] == len(self._waits)
+        held_scans = int(plc[STALL]) if at_gate else 0
+        if self._stands and held_scans < scans and plc[PHASE] == RUNNING:
             self._record_event("resume", self.tick)
             self._stands = False
-        if stood and not self._stands:
-            self._record_event("hold", int(plc[SCAN]) - stood)
+        if held_scans and not self._stands:
+            self._record_event("hold", int(plc[SCAN]) - held_scans)
             self._stands = True
 
     def _record_event(self, kind: EventKind, scan: int) -> None:
@@ -256,7 +257,10 @@ class SwitchingSession:
         )
 
     def _made(self) -> Orders:
-        """Return the known schedule with a gate, a wait that holds it, at its end."""
+        """Return the orders of the schedule received so far, with a gate at its end.
+
+        The gate is a wait for a contact that never closes: it holds the schedule.
+        """
         known = self._known()
         self._states = states_of(known.levels, openings(self._waits, known))
         orders = orders_of(known, self._machine, self._options, self._values, self._units)
@@ -275,7 +279,7 @@ class SwitchingSession:
         )
 
     def _known(self) -> SwitchSchedule:
-        """Return the known part of the schedule."""
+        """Return the schedule received so far; ``take`` drops the rows played before it."""
         return SwitchSchedule(
             clock=self._machine.command_clock,
             outputs=self._outputs,
@@ -291,7 +295,7 @@ class SwitchingSession:
 
 
 def _carried(before: Progress, orders: Orders) -> Progress:
-    """Return the progress of a run after more of the schedule was taken."""
+    """Return the progress with queues for the new orders; levels on their way to cylinders stay."""
     fresh = begin(orders)
     pending = before.queue[:, 0] - before.queue[:, 1]
     room = fresh.arrival.shape[1] + int(pending.max(initial=0))
