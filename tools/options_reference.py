@@ -31,13 +31,14 @@ _HEAD = """# Options
 
 Every option of planning, judging and searching is declared once, in
 `src/threadline/proof/option_table.py`. The command line, Python (`import threadline as tl`), the
-panel, recordings, proofs and this page are made from the declarations. After a change of the table,
+panel, recordings, proofs and this page read these declarations. After a change of the declarations,
 `python -m tools.options_reference` writes this page, the types of the Python functions and the
 fields of the panel again.
 
-A value with a unit is typed with its unit, in quotes where there is a blank: `--feed "36 mm/s"`,
-in Python `feed="36 mm/s"`. The tables name the SI unit that the value is converted to. `panel`
-stands for a calculation on the operator's panel.
+Type a value with its unit, in quotes if it contains a blank: `--feed "36 mm/s"`, in Python
+`feed="36 mm/s"`. In each table, `value` names the SI unit to which the value is converted, and
+`panel` among the commands means that the operator's panel has the option. If an option has another
+meaning or default with one command, a line that begins with the command says so.
 
 """
 
@@ -49,8 +50,8 @@ def page() -> str:
         parts.append(f"## {group.value}\n\n")
         parts += [_section(one) for one in TABLE if one.group is group]
     parts.append(
-        "## Options of one command alone\n\nThese say what a command writes, draws or executes; no "
-        "other command has them, or they have another meaning there.\n\n"
+        "## Options of one command alone\n\nThese options say what one command writes, draws or "
+        "executes. Other commands do not have them, or give them another meaning.\n\n"
     )
     parts += [_of_command(name) for name in COMMANDS]
     return "".join(parts).rstrip() + "\n"

@@ -33,7 +33,8 @@ def cam(
     ] = None,
     c: Annotated[str | None, typer.Option(help='Length of the rocker: "135 mm".')] = None,
     roller: Annotated[
-        str, typer.Option(help="Roller radius, added to each distance; negative: subtracted.")
+        str,
+        typer.Option(help="Roller radius, added to each distance h; a negative one is subtracted."),
     ] = "0 mm",
     noise: Annotated[
         str | None, typer.Option(help='Measuring error: "0.05 mm"; default: estimated.')
@@ -45,7 +46,7 @@ def cam(
         str | None, typer.Option(help='Where the rise starts: "7.5 deg"; default: found.')
     ] = None,
     end: Annotated[str | None, typer.Option(help="Where the rise ends; default: found.")] = None,
-    passes: Annotated[int, typer.Option(help="Most rebound passes.")] = MOST_PASSES,
+    passes: Annotated[int, typer.Option(help="Largest number of rebound passes.")] = MOST_PASSES,
     epsilon: Annotated[
         str | None,
         typer.Option(help='Stop the rebound once a pass changes less than this: "0.001 mm".'),

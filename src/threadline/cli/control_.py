@@ -57,7 +57,8 @@ def control(
     coupling: Annotated[
         str | None,
         typer.Option(
-            help="cross-coupled: added weight of an error across the line over lag. Default: 50 %."
+            help="cross-coupled: how much more an error across the line weighs than lag. "
+            "Default: 50 %."
         ),
     ] = None,
     json: JsonOption = False,

@@ -46,7 +46,10 @@ def law(
     ] = None,
     jerk: Annotated[
         str | None,
-        typer.Option(help="Largest jerk of that law; default: full acceleration in a 16th."),
+        typer.Option(
+            help="Largest jerk of the law of --limit; default: full acceleration after a 16th of "
+            "the shortest move."
+        ),
     ] = None,
     band: Annotated[
         float | None,

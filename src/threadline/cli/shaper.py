@@ -109,7 +109,7 @@ def shaper(
         float,
         typer.Option(
             parser=ratio("--tolerance"),
-            help="Vibration allowed, share of one unit impulse's: 0.05 is 5 %.",
+            help="Vibration allowed, as a share of the vibration after one unit impulse: 0.05.",
         ),
     ] = 0.05,
     kind: Annotated[
@@ -124,13 +124,14 @@ def shaper(
         ),
     ] = None,
     tick: Annotated[
-        str | None, typer.Option(help='Put impulses on whole ticks of the controller: "10 ms".')
+        str | None, typer.Option(help='Place impulses on whole ticks of the controller: "10 ms".')
     ] = None,
     dwell: Annotated[
         str | None, typer.Option(help='Shortest time between switchings, with --tick: "20 ms".')
     ] = None,
     max_impulses: Annotated[
-        int | None, typer.Option(help="Most impulses that the controller takes, with --tick.")
+        int | None,
+        typer.Option(help="With --tick: largest number of impulses the controller takes."),
     ] = None,
     free: Annotated[
         bool, typer.Option(help="With --tick: choose amplitudes anew (flow valves, axes).")
@@ -145,7 +146,8 @@ def shaper(
         float | None,
         typer.Option(
             parser=ratio("--still"),
-            help="Ringing allowed after --move, share of one full step's (default 0.01, 1 %).",
+            help="Ringing allowed after --move, as a share of the ringing after a step of full "
+            "acceleration (default 0.01).",
         ),
     ] = None,
     klipper: Annotated[

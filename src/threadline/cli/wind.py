@@ -43,8 +43,8 @@ def wind(
     bare: Annotated[
         Path | None,
         typer.Option(
-            help="Take the parts as the outer shape that is wanted after all layers, and write the "
-            "bare mandrel for it into this table, NAME.csv."
+            help="The parts are the outer shape that is wanted after all layers: write the bare "
+            "mandrel for this shape into this table, NAME.csv."
         ),
     ] = None,
     deck: Annotated[

@@ -165,10 +165,9 @@ TABLE: tuple[Option, ...] = (
     Option(
         name="axes", group=Group.PLAN, kinds=(TICKS,),
         verbs=tuple(verb for verb in PLANNERS if verb != "panel"),
-        help="Axes of the program by their names on the machine, if the program was made for "
-        'another one: "C=A,Z=X" moves A where the program has C, and X where it has Z; '
-        'B=none leaves the words of B out, E=none the filament of a 3D print, and macros=none '
-        "the moves of Klipper's macros.",
+        help="Axes of the machine that move for the axes of a program made for another machine: "
+        '"C=A,Z=X" moves A for C, and X for Z. B=none ignores the words of B, E=none the filament '
+        "of a 3D print, and macros=none the moves of Klipper's macros.",
         attribute="axes", parse=str,
         recorded=FileForm(key="axes", write=_same, read=str),
     ),
@@ -211,7 +210,7 @@ TABLE: tuple[Option, ...] = (
         verbs=tuple(verb for verb in PLANNERS if verb != "panel"),
         help="How stitches of a design that are longer than the machine's longest move are sewn: "
         "travel (needle up; the default), split (the needle enters on the way) or refuse. Jumps "
-        "before a stitch make no difference.",
+        "before such a stitch change nothing.",
         helps={"judge": _AS_GIVEN},
         attribute="long_stitches", parse=parse_long_stitches, doors=(Door.LINE, Door.PYTHON),
         recorded=FileForm(key="long-stitches", write=_same, read=parse_long_stitches),
@@ -260,7 +259,7 @@ TABLE: tuple[Option, ...] = (
     Option(
         name="damping", group=Group.PLAN, type=Type.RATIO, kinds=(SWITCHES,),
         verbs=("prove", "run", "compile", "equal", "compare", "yield", "animate", "judge"),
-        help="Damping ratio of that mode; default: the machine's.",
+        help="Damping ratio of the --mode of an on/off machine; default: the machine's.",
         attribute="shaper_damping", parse=parse_damping,
         recorded=FileForm(
             key="damping", read=parse_damping,
@@ -323,8 +322,8 @@ TABLE: tuple[Option, ...] = (
     Option(
         name="outside", group=Group.PLAN, unit="m", verbs=_TYPED, kinds=(TICKS,),
         help="With optimal: how far the path may leave the program on the outside of its corners, "
-        'at most the tolerance: "0.1 mm". A corner that is entered and left on its outside is '
-        "rounded more widely; default: not at all.",
+        'at most the tolerance: "0.1 mm". A path that enters and leaves a corner on its outside '
+        "rounds it more widely. Default: the path stays on the inside.",
         helps={"fastest": "With optimal: how far the path may leave the program on the outside of "
                "its corners; default: searched."},
         attribute="outside_m", parse=parse_outside_m,
@@ -347,10 +346,10 @@ TABLE: tuple[Option, ...] = (
     ),
     Option(
         name="narrow", group=Group.PLAN, unit="m", verbs=_TYPED, kinds=(TICKS,),
-        help="With optimal: smaller tolerances at the ends of moves, by lines of the program: "
-        '"13: 0.38 mm, 22: 0.4 mm".',
-        helps={"fastest": "With optimal: smaller tolerances at the ends of moves, by lines of "
-               "the program; default: searched."},
+        help="With optimal: smaller tolerances for some corners, by the program line of the move "
+        'that ends there: "13: 0.38 mm, 22: 0.4 mm".',
+        helps={"fastest": "With optimal: smaller tolerances for some corners, by the program line "
+               "of the move that ends there; default: searched."},
         attribute="narrow", parse=parse_narrow, most_text=MOST_PROFILE,
         recorded=FileForm(key="narrow", write=narrow_words, read=parse_narrow),
     ),
@@ -358,7 +357,7 @@ TABLE: tuple[Option, ...] = (
         name="table", group=Group.PLAN, kinds=(TICKS,),
         verbs=("prove", "run", "compile", "equal", "yield", "animate", "judge", "learn"),
         help="Play this table, which threadline learn has written, in place of the planned one. It "
-        "belongs to its job, machine file and options of planning.",
+        "is valid only for the job, machine file and planning options with which it was learned.",
         helps={
             "judge": "The learned table that was played; default: the recording's.",
             "learn": "Begin with this learned table instead of the plan's.",
@@ -438,14 +437,14 @@ TABLE: tuple[Option, ...] = (
     ),
     Option(
         name="learned", group=Group.SEARCH, type=Type.COUNT, verbs=("fastest",), least=1, most=100,
-        help="Judge every plan after so many repeats, by the table that the machine has learned by "
-        "then (threadline learn). With --ends every machine learns its own table.",
+        help="Number of repeats after which every plan is judged, with the table learned by then "
+        "(threadline learn). With --ends every machine learns its own table.",
         doors=(Door.LINE, Door.PYTHON),
     ),
     Option(
         name="mismatch", group=Group.SEARCH, type=Type.FLAG, verbs=("fastest",), default=False,
-        help="Search again with masses and stiffnesses at the ends of their tolerances, "
-        "planned for the machine as its file says.",
+        help="Search again on machines with masses and stiffnesses at the ends of their "
+        "tolerances, with plans for the machine of the file.",
         doors=(Door.LINE, Door.PYTHON),
     ),
     Option(
