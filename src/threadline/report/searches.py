@@ -95,8 +95,8 @@ def experiment_table(campaign: Campaign) -> Table:
     return Table(title=title, header=tuple(header), rows=rows, note=campaign.summary())
 
 
-_MOST = 8  # criteria drawn
-_POINTS = 400  # machines drawn in a curve
+_MOST = 8  # largest number of criteria drawn
+_POINTS = 400  # largest number of points of a curve
 
 
 def draw_yield(found: Yield, title: str) -> Figure:
