@@ -44,14 +44,14 @@ class _Played(RowSession):
 
     def _read(self, part: Part) -> Mapping[Any, FloatArray]:
         """Return the samples of the ticks of a part."""
-        found = self._sampled(len(part.travelled))
+        samples = self._sampled(len(part.travelled))
         self._tick += len(part.travelled)
-        wrong = np.abs(found.commanded - self._start - part.travelled).max(initial=0.0)
-        if wrong and not self.failed:
+        difference = np.abs(samples.commanded - self._start - part.travelled).max(initial=0.0)
+        if difference and not self.failed:
             self.fail(
-                f"HAL's commands to the drives differ from the sent rows by {wrong:.0f} counts"
+                f"HAL's commands to the drives differ from the sent rows by {difference:.0f} counts"
             )
-        return {"commanded": found.commanded, "read": np.rint(found.read)}
+        return {"commanded": samples.commanded, "read": np.rint(samples.read)}
 
     def fail(self, why: str) -> None:
         """Record a fault, after which nothing is known."""
@@ -63,9 +63,9 @@ class _Played(RowSession):
         self._record_event("fault", name=why)
 
     def _block(self, first: int, parts: list[Part]) -> RecordingBlock:
-        nothing = np.zeros((0, len(self._start)))
+        no_rows = np.zeros((0, len(self._start)))
         commanded, read = (
-            np.concatenate([nothing, *(part.read[name] for part in parts)])
+            np.concatenate([no_rows, *(part.read[name] for part in parts)])
             / self._machine.counts_per_unit
             for name in ("commanded", "read")
         )
@@ -78,15 +78,15 @@ class _Played(RowSession):
             [np.zeros(0), *(part.operation.astype(np.float64) for part in parts)]
         )
         events, self._pending_events = tuple(self._pending_events), []
-        clock = self._machine.tick_clock.name
-        return RecordingBlock(first_tick={clock: first}, samples=samples, events=events)
+        clock_name = self._machine.tick_clock.name
+        return RecordingBlock(first_tick={clock_name: first}, samples=samples, events=events)
 
 
 def _channels(machine: Machine, *, plant: bool) -> list[Channel]:
     clock, kinds = machine.tick_clock, [ChannelKind.COMMANDED]
     if plant:
         kinds.append(ChannelKind.MEASURED)
-    found = [
+    channels = [
         Channel(
             name=f"{name}.{kind.value}",
             kind=kind,
@@ -98,7 +98,7 @@ def _channels(machine: Machine, *, plant: bool) -> list[Channel]:
         for kind in kinds
     ]
     operation = Channel(name="operation", kind=ChannelKind.OPERATION, unit="", clock=clock)
-    return [*found, operation]
+    return [*channels, operation]
 
 
 class HalRows(SimRows):
@@ -143,13 +143,17 @@ class HalRows(SimRows):
     def _take_refill(self, message: Message) -> str:
         """Replace the rows from a tick on, in HAL, too."""
         first = int(message.head["first"])
-        at, counts = message.arrays["at"], message.arrays["counts"]
-        if why := self._unfit(first, at):
+        position, counts = message.arrays["at"], message.arrays["counts"]
+        if why := self._unfit(first, position):
             return why
-        moved = np.cumsum(np.asarray(counts, np.float64), axis=0)
-        behind = self._start + at + (moved if len(moved) else np.zeros((1, len(at))))
-        # At the tick ``first`` the axes still stand at ``at``, whatever follows.
-        if not self._hal.replace(self._first_record + first + 1, behind):
+        moved_counts = np.cumsum(np.asarray(counts, np.float64), axis=0)
+        new_positions = (
+            self._start
+            + position
+            + (moved_counts if len(moved_counts) else np.zeros((1, len(position))))
+        )
+        # At the tick ``first`` the axes still stand at ``position``, whatever follows.
+        if not self._hal.replace(self._first_record + first + 1, new_positions):
             return "that tick is past"
         return super()._take_refill(message)
 
@@ -162,35 +166,35 @@ class HalRows(SimRows):
             Time since the last call.
         """
         self._hal.fill()
-        found = self._hal.samples()
-        fresh = np.diff(found.record, prepend=-1) > 0  # at an underrun the last record repeats
-        self._silent_s = 0.0 if len(found.record) else self._silent_s + waited_s
+        samples = self._hal.samples()
+        is_new = np.diff(samples.record, prepend=-1) > 0  # at an underrun the last record repeats
+        self._silent_s = 0.0 if len(samples.record) else self._silent_s + waited_s
         if not self.begun or self._session.failed:
             return
-        kept = fresh & (found.record >= self._first_record)
-        late = np.max(found.interval_s, initial=0.0) - self._period_s
-        late += self._period_s * np.count_nonzero(~fresh)
-        due = Samples.joined([*self._came, found.at(kept)])
-        numbers = due.record
+        is_of_run = is_new & (samples.record >= self._first_record)
+        late_s = np.max(samples.interval_s, initial=0.0) - self._period_s
+        late_s += self._period_s * np.count_nonzero(~is_new)
+        due_samples = Samples.joined([*self._came, samples.at(is_of_run)])
+        record_numbers = due_samples.record
         why = ""
         if self._hal.lost:
             why = f"{self._hal.lost} samples of HAL were lost"
-        elif (np.diff(numbers) != 1).any():
+        elif (np.diff(record_numbers) != 1).any():
             why = "samples of HAL are missing"
         elif self._silent_s > SILENT_S:
             why = f"HAL's thread has stood still for {self._silent_s:.1f} s"
-        self._came = [due]
+        self._came = [due_samples]
         if why:
             assert isinstance(self._session, _Played)
             self._session.fail(why)
             self._report(self.tick, [self._session.advance(ticks=0)], 0.0)
-        elif len(numbers):
-            self.play(len(numbers), float(late / max(self._period_s, _REPORTS_S)))
+        elif len(record_numbers):
+            self.play(len(record_numbers), float(late_s / max(self._period_s, _REPORTS_S)))
 
     def _take_samples(self, ticks: int) -> Samples:
         """Return the samples of the next ticks."""
-        whole = Samples.joined(self._came)
-        if len(whole.record) < ticks:
-            raise LinkFaultError(f"{ticks} ticks of HAL were due, {len(whole.record)} have come")
-        self._came = [whole.at(slice(ticks, None))]
-        return whole.at(slice(ticks))
+        arrived = Samples.joined(self._came)
+        if len(arrived.record) < ticks:
+            raise LinkFaultError(f"{ticks} ticks of HAL were due, {len(arrived.record)} have come")
+        self._came = [arrived.at(slice(ticks, None))]
+        return arrived.at(slice(ticks))
