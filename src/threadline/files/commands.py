@@ -259,11 +259,11 @@ class SwitchSchedule(Locked):
 
     def creeps_by_row(self) -> dict[int, list[Creep]]:
         """Return the creeps by the row that is in effect during their waits."""
-        found: dict[int, list[Creep]] = {}
+        creeps: dict[int, list[Creep]] = {}
         rows = np.searchsorted(self.ticks, [creep.tick for creep in self.creeps], side="right")
         for row, creep in zip(rows.tolist(), self.creeps, strict=True):
-            found.setdefault(row - 1, []).append(creep)
-        return found
+            creeps.setdefault(row - 1, []).append(creep)
+        return creeps
 
 
 Commands = TickTable | SwitchSchedule | StepPlay

@@ -73,10 +73,10 @@ class RowsHash:
 
     def hexdigest(self) -> str:
         """Return the hash of all rows and events added so far."""
-        whole = hashlib.sha256(self._head)
+        digest = hashlib.sha256(self._head)
         for count, part in ((self._row_count, self._rows), (self._event_count, self._events)):
-            whole.update(struct.pack("<Q", count) + part.digest())
-        return whole.hexdigest()
+            digest.update(struct.pack("<Q", count) + part.digest())
+        return digest.hexdigest()
 
 
 def _text(text: str) -> bytes:
@@ -263,43 +263,47 @@ class StepPlay(Locked):
             If a stitch names an unknown table, begins outside its turn, has a table that is longer
             than its window, ends after ``duration_ticks``, or does not follow the preceding stitch.
         """
-        expected, free = 0, 0
-        spans = _spans(self.library)
+        next_stitch, free_tick = 0, 0
+        table_spans = _spans(self.library)
         for block in self.blocks:
-            if block.first_stitch != expected or block.table.shape[1] != len(self.axes):
+            if block.first_stitch != next_stitch or block.table.shape[1] != len(self.axes):
                 raise ValueError(
-                    f"expected stitch {expected} with {len(self.axes)} axes, got stitch "
+                    f"expected stitch {next_stitch} with {len(self.axes)} axes, got stitch "
                     f"{block.first_stitch} with {block.table.shape[1]} axes"
                 )
             for name, values, low, high in (
                 ("table", block.table, -1, len(self.library)),
                 ("start", block.start[:, None], 0, self.steps_per_turn),
-                ("begin", block.begin[:1, None], free, 2**62),
+                ("begin", block.begin[:1, None], free_tick, 2**62),
                 ("needle", block.needle[:, None], 0, 2),
             ):
                 wrong = np.flatnonzero(((values < low) | (values >= high)).any(axis=1))
                 if len(wrong):
-                    at = int(wrong[0])
+                    row = int(wrong[0])
                     raise ValueError(
-                        f"stitch {expected + at}: {name} {values[at].tolist()} is not from {low} "
-                        f"to {high - 1}"
+                        f"stitch {next_stitch + row}: {name} {values[row].tolist()} is not "
+                        f"from {low} to {high - 1}"
                     )
-            room = block.window if self.counted_by == "time" else np.array([self.window_angle])
-            late = np.flatnonzero((spans[block.table] > room[:, None]).any(axis=1))
-            if len(late):
+            window_counts = (
+                block.window if self.counted_by == "time" else np.array([self.window_angle])
+            )
+            too_long = np.flatnonzero(
+                (table_spans[block.table] > window_counts[:, None]).any(axis=1)
+            )
+            if len(too_long):
                 raise ValueError(
-                    f"stitch {expected + int(late[0])}: its table is longer than its window"
+                    f"stitch {next_stitch + int(too_long[0])}: its table is longer than its window"
                 )
             ends = block.begin + block.window
-            over = np.flatnonzero(ends > self.duration_ticks)
-            if len(over):
+            beyond_end = np.flatnonzero(ends > self.duration_ticks)
+            if len(beyond_end):
                 raise ValueError(
-                    f"stitch {expected + int(over[0])}: its window ends at {ends[over[0]]}, the "
-                    f"commands end at {self.duration_ticks}"
+                    f"stitch {next_stitch + int(beyond_end[0])}: its window ends at "
+                    f"{ends[beyond_end[0]]}, the commands end at {self.duration_ticks}"
                 )
             if len(block):
-                free = int(block.begin[-1] + block.window[-1])
-            expected += len(block)
+                free_tick = int(block.begin[-1] + block.window[-1])
+            next_stitch += len(block)
             yield block
 
     def stitch_count(self) -> int:
@@ -317,10 +321,12 @@ class StepPlay(Locked):
         """
         lengths = np.array([len(table) for table in self.library], dtype=np.int64)
         units = np.array([table.units for table in self.library], dtype=np.int64)
-        by = 0 if self.counted_by == "time" else 1
+        counted_by_code = 0 if self.counted_by == "time" else 1
         digest = RowsHash(
             STEPS, self.clock.period_s, self.axes, self.steps_per_unit, self.start_steps,
-            np.array([by, self.steps_per_turn, self.window_angle, self.duration_ticks]),
+            np.array(
+                [counted_by_code, self.steps_per_turn, self.window_angle, self.duration_ticks]
+            ),
             np.array([len(lengths)]), units, lengths, *(t.intervals for t in self.library),
         )  # fmt: skip
         for block in self:

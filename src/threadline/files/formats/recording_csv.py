@@ -119,8 +119,8 @@ def read_recording_csv(path: Path) -> Recording:
         If the file is neither a recording nor such a trace; names the line.
     """
     with clear_errors(path):
-        own = next(text_lines(path), (1, ""))[1] == f"# threadline {TITLE}"
-        recording = _read_native(path) if own else _foreign(path)
+        is_native = next(text_lines(path), (1, ""))[1] == f"# threadline {TITLE}"
+        recording = _read_native(path) if is_native else _foreign(path)
         for _ in recording:
             pass  # read every line now, so that a wrong line is found before the recording is used
     return recording
@@ -185,18 +185,18 @@ def _foreign(path: Path) -> Recording:
             place=place,
             remedy='Begin with a line like "time [s],X [mm],Y [mm],A [deg]".',
         )
-    at = names.index(TIME)
-    kept = [k for k in range(len(columns)) if k != at]
+    time_column = names.index(TIME)
+    channel_columns = [k for k in range(len(columns)) if k != time_column]
     layout = _Layout(
         separator=separator,
-        factors=(columns[at].factor, *(columns[k].factor for k in kept)),
-        order=(at, *kept),
+        factors=(columns[time_column].factor, *(columns[k].factor for k in channel_columns)),
+        order=(time_column, *channel_columns),
         own=False,
     )
     instants = ((n, row[0]) for n, row, _ in _rows(path, number, layout))
     grid = find_grid(instants, str(path))
     clock = Clock("recording", grid.period_s)
-    channels = tuple(_channel(columns[k], clock) for k in kept)
+    channels = tuple(_channel(columns[k], clock) for k in channel_columns)
     layout = replace(layout, first=grid.first)
     return Recording(
         channels=channels,
@@ -241,10 +241,10 @@ def _rows(path: Path, head: int, layout: _Layout) -> Iterator[tuple[int, list[fl
         if layout.own and ended:
             raise RecordingError("rows follow the end of the table", place=place)
         cells = line.split(layout.separator, width if layout.own else -1)
-        found = len(cells) - layout.own
-        if found != width:
+        cell_count = len(cells) - layout.own
+        if cell_count != width:
             raise RecordingError(
-                f"the line has {found} cells, but there are {width} columns",
+                f"the line has {cell_count} cells, but there are {width} columns",
                 place=place,
                 remedy="The file may have been cut off.",
             )
@@ -291,7 +291,7 @@ def _blocks(
     values: list[list[float]] = []
     events: list[Event] = []
     first = layout.first
-    operations = [k + 1 for k, c in enumerate(channels) if c.kind is ChannelKind.OPERATION]
+    operation_columns = [k + 1 for k, c in enumerate(channels) if c.kind is ChannelKind.OPERATION]
 
     def block(tick: int) -> RecordingBlock:
         columns: Any = np.array(values).T[1:]
@@ -299,7 +299,7 @@ def _blocks(
         return RecordingBlock(first_tick={clock.name: tick}, samples=samples, events=tuple(events))
 
     with reading(known):
-        for number, row, here in _rows(path, head, layout):
+        for number, row, row_events in _rows(path, head, layout):
             place = Place(str(path), number)
             if first is None:
                 first = min(max(0, round(row[0] / float(clock.period_s))), MAX_COUNTS)
@@ -308,11 +308,11 @@ def _blocks(
                 first += stride * len(values)
                 values, events = [], []
             check_on_grid(row[0], first + stride * len(values), clock.period_s, stride, place)
-            for k in operations:
+            for k in operation_columns:
                 if (fault := operation_fault(row[k])) is not None:
                     raise RecordingError(fault, place=place, remedy=OPERATION_REMEDY)
             values.append(row)
-            events += here
+            events += row_events
         if values:
             assert first is not None
             yield block(first)

@@ -42,8 +42,10 @@ MAX_TICKS = 1 << 31  # largest n of a line: products with a remainder stay exact
 
 
 def _columns(axes: Sequence[str], needle: bool) -> list[str]:
-    of_axis = [f"{axis} {what}" for axis in axes for what in ("[count/tick]", "remainder", "phase")]
-    return ["ticks", *of_axis, "operation", *(NEEDLE_COLUMNS if needle else ()), "events"]
+    axis_columns = [
+        f"{axis} {what}" for axis in axes for what in ("[count/tick]", "remainder", "phase")
+    ]
+    return ["ticks", *axis_columns, "operation", *(NEEDLE_COLUMNS if needle else ()), "events"]
 
 
 def write_array(table: TickTable, path: Path, needle: NeedleSource | None = None) -> Written:
@@ -82,13 +84,15 @@ def _lines(
         total = block.counts[begin : begin + span].sum(axis=0).tolist()
         cells = [f"{t // span},{t % span},{h}" for t, h in zip(total, phase, strict=True)]
         tick = block.first_tick + begin
-        here = [e for e in pending if e.tick == tick]
-        if here:
+        row_events = [e for e in pending if e.tick == tick]
+        if row_events:
             pending = [e for e in pending if e.tick != tick]
-        beside = (
+        needle_cells = (
             "" if needle_rows is None else f"{needle_rows.cells(begin, begin + span, period_s)},"
         )
-        yield f"{span},{','.join(cells)},{operation[begin]},{beside}{events_cell(here)}\n"
+        yield (
+            f"{span},{','.join(cells)},{operation[begin]},{needle_cells}{events_cell(row_events)}\n"
+        )
     if pending:  # at the end of the last row
         end = block.first_tick + len(block)
         if any(e.tick != end for e in pending):
@@ -109,10 +113,10 @@ def read_array(path: Path) -> TickTable:
     return read_text_table(path, TITLE, _columns, _blocks)
 
 
-def _blocks(known: KnownFile, axes: int, head: int, beside: int) -> Iterator[TickBlock]:
-    """Yield the blocks; the ``beside`` columns of the needle are counted but not read."""
+def _blocks(known: KnownFile, axes: int, head: int, needle_columns: int) -> Iterator[TickBlock]:
+    """Yield the blocks; the ``needle_columns`` cells of the needle are counted but not read."""
     path = known.path
-    first, ready = 0, 0  # tick of the next block, rows that are ready for it
+    first, row_count = 0, 0  # tick of the next block, rows that are ready for it
     counts: list[IntArray] = []
     operation: list[IntArray] = []
     events: list[Event] = []
@@ -129,35 +133,35 @@ def _blocks(known: KnownFile, axes: int, head: int, beside: int) -> Iterator[Tic
         for number, line in body_lines(path, head):
             place = Place(str(path), number)
             if line.startswith(END):
-                check_end(line, first + ready, place)
+                check_end(line, first + row_count, place)
                 continue
-            wanted = 3 * axes + 3 + beside
-            cells = line.split(",", wanted - 1)
-            if len(cells) != wanted:
+            cell_count = 3 * axes + 3 + needle_columns
+            cells = line.split(",", cell_count - 1)
+            if len(cells) != cell_count:
                 raise RecordingError(
-                    f"the line has {len(cells)} cells, expected {wanted}", place=place
+                    f"the line has {len(cells)} cells, expected {cell_count}", place=place
                 )
             span = whole_number(cells[0], place)
-            here = parse_events_cell(cells[-1], first + ready, place)
+            line_events = parse_events_cell(cells[-1], first + row_count, place)
             if span == 0:
-                events += here
+                events += line_events
                 continue
-            of = whole_number(cells[1 + 3 * axes], place)
+            operation_number = whole_number(cells[1 + 3 * axes], place)
             if not 0 < span <= MAX_TICKS:
                 raise RecordingError(f"{span} ticks, limit {MAX_TICKS}", place=place)
             if span > READ_ROWS:
-                _check_within(first + ready + span, path, place)
-            for part in _rows(cells[1 : 1 + 3 * axes], span, path, place):
-                if ready >= READ_ROWS:
+                _check_within(first + row_count + span, path, place)
+            for rows in _rows(cells[1 : 1 + 3 * axes], span, path, place):
+                if row_count >= READ_ROWS:
                     yield block()
-                    first, ready = first + ready, 0
+                    first, row_count = first + row_count, 0
                     counts, operation, events = [], [], []
-                events += here
-                here = []
-                counts.append(part)
-                operation.append(np.full(len(part), of))
-                ready += len(part)
-        if ready:
+                events += line_events
+                line_events = []
+                counts.append(rows)
+                operation.append(np.full(len(rows), operation_number))
+                row_count += len(rows)
+        if row_count:
             yield block()
         elif events:
             yield empty_block(axes, tuple(events))
@@ -165,10 +169,10 @@ def _blocks(known: KnownFile, axes: int, head: int, beside: int) -> Iterator[Tic
 
 def _check_within(end: int, path: Path, place: Place) -> None:
     """Refuse a line beyond the stated end of the table, before its rows are made."""
-    last = stated_tick_count(path)
-    if end > last:
+    stated_end = stated_tick_count(path)
+    if end > stated_end:
         raise RecordingError(
-            f"the line extends to tick {end}, but the table ends after {last}",
+            f"the line extends to tick {end}, but the table ends after {stated_end}",
             place=place,
             remedy="Write or fetch it again.",
         )
