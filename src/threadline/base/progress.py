@@ -207,11 +207,11 @@ def never_back(progress: Progress | None) -> Progress | None:
     """
     if progress is None:
         return None
-    most = 0.0
+    largest = 0.0
 
     def forwards(work: str, share: float) -> None:
-        nonlocal most
-        most = max(most, share)
-        progress(work, most)
+        nonlocal largest
+        largest = max(largest, share)
+        progress(work, largest)
 
     return forwards

@@ -181,15 +181,15 @@ def toml_fault(error: Exception, text: str) -> tuple[str, int]:
     if isinstance(error, RecursionError):
         return "the file is nested too deeply", 0
     message = str(error)
-    at = re.search(r" ?\(at (?:line (\d+), column \d+|end of document)\)$", message)
-    if at is None:
+    match = re.search(r" ?\(at (?:line (\d+), column \d+|end of document)\)$", message)
+    if match is None:
         return f"not valid TOML: {message}", 0
-    message = message[: at.start()]
+    message = message[: match.start()]
     message = message[:1].lower() + message[1:]
-    if at[1] is not None:
-        return f"not valid TOML: {message}", int(at[1])
-    last = text.rstrip("\n").count("\n") + 1
-    return f"not valid TOML: {message} before the end; the file may be truncated", last
+    if match[1] is not None:
+        return f"not valid TOML: {message}", int(match[1])
+    last_line = text.rstrip("\n").count("\n") + 1
+    return f"not valid TOML: {message} before the end; the file may be truncated", last_line
 
 
 def line_in_rows(text: str, rows: str, index: int | None, key: str) -> int:
@@ -207,14 +207,18 @@ def line_in_rows(text: str, rows: str, index: int | None, key: str) -> int:
     """
     is_header = re.compile(rf"\s*\[\[\s*{re.escape(rows)}\s*\]\]")
     is_key = re.compile(rf'\s*"?{re.escape(key)}"?\s*=')
-    inside, header = -1, 0
+    table_index, header_line = -1, 0
     for number, line in enumerate(text.splitlines(), start=1):
         if is_header.match(line):
-            inside += 1
-            header = number if inside == index else header
-        elif key and is_key.match(line) and (inside == index or (index is None and inside < 0)):
+            table_index += 1
+            header_line = number if table_index == index else header_line
+        elif (
+            key
+            and is_key.match(line)
+            and (table_index == index or (index is None and table_index < 0))
+        ):
             return number
-    return header
+    return header_line
 
 
 def field_fault(error: Mapping[str, Any]) -> tuple[str, str]:
@@ -264,16 +268,20 @@ def nearest(name: str, known: Iterable[str], otherwise: str = "Known") -> str:
     >>> nearest("hed", ["head", "frame"]), nearest("zz", ["head", "frame"], "There are")
     ("Did you mean 'head'?", 'There are: head, frame.')
     """
-    among = list(known)
-    close = difflib.get_close_matches(name, among, n=1, cutoff=0.5)
-    return f"Did you mean {close[0]!r}?" if close else f"{otherwise}: {', '.join(among) or 'none'}."
+    known_words = list(known)
+    matches = difflib.get_close_matches(name, known_words, n=1, cutoff=0.5)
+    return (
+        f"Did you mean {matches[0]!r}?"
+        if matches
+        else f"{otherwise}: {', '.join(known_words) or 'none'}."
+    )
 
 
 def _nearest(error: Mapping[str, Any], expected: str) -> str:
     known = re.findall(r"'([^']*)'", expected)
     given = error.get("tag", error.get("input"))
-    close = difflib.get_close_matches(str(given), known, n=1)
-    return f"Did you mean {close[0]!r}?" if close else "Choose one of them."
+    matches = difflib.get_close_matches(str(given), known, n=1)
+    return f"Did you mean {matches[0]!r}?" if matches else "Choose one of them."
 
 
 def _shown(value: object) -> str:
