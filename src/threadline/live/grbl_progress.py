@@ -65,12 +65,12 @@ class Way:
             return before_s
         return before_s + self._share(executed, at) * float(self._durations_s[executed])
 
-    def _share(self, line: int, at: FloatArray) -> float:
+    def _share(self, line: int, position: FloatArray) -> float:
         """Return the share of a line before the point of it that is nearest to a position."""
         begin_m = self._begin(line)
         line_vector_m = self._ends[line] - begin_m
         length2_m2 = float(line_vector_m @ line_vector_m)
-        position_m = at * self._radius
+        position_m = position * self._radius
         return (
             0.0
             if length2_m2 == 0.0

@@ -117,7 +117,7 @@ class Guards:
             self._axes.append(
                 _Axis(
                     name=name,
-                    channels=tuple(f"{name}.{what}" for what in _LOOKED_AT),
+                    channels=tuple(f"{name}.{quantity}" for quantity in _LOOKED_AT),
                     lag_s=answers[name].moments[0],
                     room=FOLLOWING_M
                     / (1.0 if axis.kind == "linear" else float(machine.radius_m[k])),
@@ -194,7 +194,7 @@ class Guards:
         return ""
 
     def _trip_of(self, axis: _Axis, samples: Mapping[str, FloatArray]) -> str:
-        commanded, read = (self._with_last(axis, which, samples) for which in (0, 1))
+        commanded, read = (self._with_last(axis, channel, samples) for channel in (0, 1))
         if len(commanded) < 2 or len(read) < 2:
             return ""
         volts = self._with_last(axis, 2, samples)

@@ -403,31 +403,29 @@ class HalSession:
     def _tell(self, lines: list[str]) -> None:
         file = Path(self._folder.name) / "net.hal"
         file.write_text("\n".join(lines) + "\n", "ascii")
-        status, why = self._run(["halcmd", "-f", str(file)])
+        status, output = self._run(["halcmd", "-f", str(file)])
         if status:
             raise LinkFaultError(
-                f"LinuxCNC's HAL does not start: {why}", remedy="Try it by itself: halrun."
+                f"LinuxCNC's HAL does not start: {output}", remedy="Try it by itself: halrun."
             )
 
     def _run(self, words: list[str]) -> tuple[int, str]:
         """Run a program of HAL; return its status, and the end of its output."""
         environment = {**os.environ, "RTAPI_FIFO_PATH": str(_meeting_place())}
         # Its child processes stay and would keep a pipe open: write to a file.
-        with (Path(self._folder.name) / "said").open("w+b") as output:
-            completed = subprocess.run(  # noqa: S603  # words of ours
+        with (Path(self._folder.name) / "said").open("w+b") as log:
+            result = subprocess.run(  # noqa: S603  # words of ours
                 [*self._words, *words],
                 env=environment,
                 cwd="/",
                 stdin=subprocess.DEVNULL,
-                stdout=output,
-                stderr=output,
+                stdout=log,
+                stderr=log,
                 timeout=_PATIENCE_S,
                 check=False,
             )
-            output.seek(0)
-            return completed.returncode, " ".join(output.read().decode("utf-8", "replace").split())[
-                -300:
-            ]
+            log.seek(0)
+            return result.returncode, " ".join(log.read().decode("utf-8", "replace").split())[-300:]
 
 
 def _net(machine: Machine, depth: int, sampler_depth: int, *, plant: bool) -> list[str]:

@@ -307,12 +307,14 @@ def _overridden_places(
 
     append_places(np.empty(0))
     switch_rate(1.0, rate)
-    for part, (begin, end) in enumerate(pairwise(np.linspace(0, end_row, _HOLDS + 1).astype(int))):
+    for part_index, (begin, end) in enumerate(
+        pairwise(np.linspace(0, end_row, _HOLDS + 1).astype(int))
+    ):
         fastest_row = begin + int(np.argmax(speeds[begin:end])) if end > begin else begin
         if fastest_row <= places[-1] or fastest_row + 2 >= end_row:
             continue
         append_places(places[-1] + rate * np.arange(1.0, (fastest_row - places[-1]) / rate + 1.0))
-        if hold is not Hold.AT_REST and part % 2:
+        if hold is not Hold.AT_REST and part_index % 2:
             append_places(brake(window, (places[-3], places[-2], places[-1]), limits, hold_ticks))
             append_places(np.full(rest_ticks, places[-1]))
             switch_rate(0.0, rate)

@@ -258,12 +258,12 @@ class MoveAhead(JogAhead):
     def __init__(self, machine: Machine, stands: IntArray, axis: str, to_counts: int) -> None:
         super().__init__(machine, stands, axis, 0.0)
         if not self._low <= to_counts <= self._high:
-            there, low, high = (
+            target, low, high = (
                 place_words(machine, axis, counts / machine.counts_per_unit[self._column])
                 for counts in (to_counts, self._low, self._high)
             )
             raise CommandError(
-                f"axis {axis}: {there} is beyond its travel, {low} to {high}",
+                f"axis {axis}: {target} is beyond its travel, {low} to {high}",
                 remedy="Move the position where the job starts.",
             )
         inputs = InputParameter(1)

@@ -179,19 +179,19 @@ class GrblLink:
         """
         assert self._program is not None
         assert self._controller is not None
-        machine, again = plan.machine, conduct.again
-        if again is not None:
-            rest = again.rest
+        machine, continued = plan.machine, conduct.again
+        if continued is not None:
+            rest = continued.rest
             sink = ContinuedSink(sink, machine, rest.left_out, rest.operation)
         executor = GrblOperated(self._controller, desk, sink, pass_stops=conduct.pass_stops)
         executor.enable()
         executor.home()
-        if again is not None and (
-            early_end := moved_to_begin(executor, machine, again, conduct.confirmed)
+        if continued is not None and (
+            early_end := moved_to_begin(executor, machine, continued, conduct.confirmed)
         ):
             return early_end
-        load = Load(plan, program=self._program, rest=None if again is None else again.rest)
-        if self._approach and again is None:
+        load = Load(plan, program=self._program, rest=None if continued is None else continued.rest)
+        if self._approach and continued is None:
             starts = zip(machine.axes, executor.starts(load).tolist(), strict=True)
             ordered_starts = sorted(
                 starts, key=lambda axis_start: machine.axes[axis_start[0]].kind != "linear"

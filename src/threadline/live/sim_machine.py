@@ -346,7 +346,7 @@ class SimMachine(ABC):
             or self.silenced
             or (self.pressed and self._enabled)
             or urgent_before != self._urgent()
-            or any(event.kind == "fault" for part in blocks for event in part.events)
+            or any(event.kind == "fault" for block in blocks for event in block.events)
         ):
             self._report_now()
 

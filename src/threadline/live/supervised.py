@@ -120,8 +120,10 @@ def interventions(plan: Plan, spec: Spec) -> Interventions:
         hold_words(plan, leaves_m, hold, spoiled=spoiled, at_once=at_once)
         for at_once in (False, True)
     ]
-    why = kind.override_spoils(plan, spec, leaves_m, hold)
-    override_note = f"the feed of this run cannot be overridden: {why}" if why else ""
+    spoil_reason = kind.override_spoils(plan, spec, leaves_m, hold)
+    override_note = (
+        f"the feed of this run cannot be overridden: {spoil_reason}" if spoil_reason else ""
+    )
     notes, notes_at_once = (
         [note for note in (hold_note, override_note) if note] for hold_note in hold_notes
     )
@@ -129,7 +131,7 @@ def interventions(plan: Plan, spec: Spec) -> Interventions:
         hold_deviation_m=leaves_m,
         hold=hold,
         spoiled_by_holds=spoiled,
-        no_override=kind.no_override or why,
+        no_override=kind.no_override or spoil_reason,
         notes=notes,
         notes_at_once=notes_at_once,
     )
@@ -149,9 +151,9 @@ def check_halts(plan: Plan, *, answered: bool) -> None:
         If a wait needs an input that the machine lacks, or nobody answers a stop; it names the
         line.
     """
-    known = {*plan.machine.inputs, *plan.machine.contacts}
+    known_inputs = {*plan.machine.inputs, *plan.machine.contacts}
     for event in run_kind_of(plan.machine).halts(plan.commands):
-        is_missing = event.kind == "wait" and event.name not in known
+        is_missing = event.kind == "wait" and event.name not in known_inputs
         if not is_missing and (event.kind != "stop" or answered):
             continue
         line = plan.intent.lines_of(plan.job, [event.operation]).get(event.operation, 0)
@@ -262,9 +264,9 @@ def run_commands(
     tuple
         How the run ended, the reason, and the number of late ticks.
     """
-    again = conduct.again
-    if again is not None:
-        rest, commands = again.rest, again.rest.commands
+    continued = conduct.again
+    if continued is not None:
+        rest, commands = continued.rest, continued.rest.commands
         sink = ContinuedSink(sink, machine, rest.left_out, rest.operation)
     with link as connection:
         executor = Executor(connection, machine, desk, sink, speed=speed)
@@ -274,8 +276,8 @@ def run_commands(
         if executor.state is not State.IDLE:
             executor.close()
             return RunEnd.STOPPED, "stopped by the operator while it homed", 0
-        if again is not None and (
-            early_end := moved_to_begin(executor, machine, again, conduct.confirmed)
+        if continued is not None and (
+            early_end := moved_to_begin(executor, machine, continued, conduct.confirmed)
         ):
             executor.close()
             return (*early_end, executor.late_ticks)
@@ -284,7 +286,7 @@ def run_commands(
             pass_stops=conduct.pass_stops,
             hold=conduct.hold,
             loads_follow=conduct.loads_follow,
-            from_rest=again is not None,
+            from_rest=continued is not None,
             no_override=conduct.no_override,
         )
         while not executor.over:

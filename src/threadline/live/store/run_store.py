@@ -96,11 +96,11 @@ class RunStore:
         sent
             Files by name that are sent to the machine besides the rows of the plan.
         """
-        now = datetime.now().astimezone()
+        started_at = datetime.now().astimezone()
         stem = _NAME.sub("-", Path(plan.job.name).stem)[:40] or "run"
-        path = self._made(f"{now:%Y%m%d-%H%M%S}-{stem}")
+        path = self._made(f"{started_at:%Y%m%d-%H%M%S}-{stem}")
         try:
-            return self._begun(path, plan, proof, known, speed, inputs, sent or {}, now)
+            return self._begun(path, plan, proof, known, speed, inputs, sent or {}, started_at)
         except BaseException:  # nothing has moved, and there is no row for it
             shutil.rmtree(path, ignore_errors=True)
             raise
@@ -124,7 +124,7 @@ class RunStore:
         speed: float,
         inputs: Iterable[Path],
         sent: Mapping[str, bytes],
-        now: datetime,
+        started_at: datetime,
     ) -> OpenRun:
         """Fill the folder of a run, and add its row; see ``begin``."""
         copied_proof = copy_proof(proof, path / PROOF)
@@ -136,7 +136,7 @@ class RunStore:
         name = path.name
         record = RunRecord(
             run=name,
-            started=now.isoformat(timespec="microseconds"),
+            started=started_at.isoformat(timespec="microseconds"),
             job=plan.job.name,
             machine=plan.machine.name,
             link=known["link"],

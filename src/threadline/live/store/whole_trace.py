@@ -140,7 +140,7 @@ def whole_recording(trace: Path) -> Recording:
 
 
 def _fitting(earlier: Recording, later: Recording) -> tuple[int, int] | None:
-    """Return the tick of ``earlier`` at which ``later`` continues, and by how much it is earlier.
+    """Return the tick of ``earlier`` where ``later`` continues, and the shift of ``later``, ticks.
 
     None if they have other jobs or channels, or ``earlier`` never reached that place.
     """
