@@ -297,10 +297,10 @@ class Recording:
         values: dict[str, list[FloatArray]] = {name: [] for name in channels}
         for block in self:
             for name, channel in channels.items():
-                part = block.samples[name]
+                block_values = block.samples[name]
                 first = block.first_tick[channel.clock.name]
-                times[name].append(channel.clock.times_s(first, len(part), channel.stride))
-                values[name].append(part)
+                times[name].append(channel.clock.times_s(first, len(block_values), channel.stride))
+                values[name].append(block_values)
         return {
             name: (np.concatenate(times[name]), np.concatenate(values[name]))
             if times[name]

@@ -171,19 +171,19 @@ class StitchBlock(Locked):
             raise ValueError(
                 f"table has shape {self.table.shape}, sign {self.sign.shape}; stitches: {stitches}"
             )
-        wrong = np.flatnonzero(
+        wrong_rows = np.flatnonzero(
             ((np.abs(self.sign) > 1) | ((self.sign == 0) != (self.table == -1))).any(axis=1)
         )
-        if len(wrong):
+        if len(wrong_rows):
             raise ValueError(
-                f"stitch {self.first_stitch + int(wrong[0])}: a sign is 1 or -1, and 0 exactly "
-                "where the table is -1"
+                f"stitch {self.first_stitch + int(wrong_rows[0])}: a sign is 1 or -1, and 0 "
+                "exactly where the table is -1"
             )
-        wrong = np.flatnonzero(self.begin[1:] < self.begin[:-1] + self.window[:-1])
-        if len(wrong):
+        wrong_rows = np.flatnonzero(self.begin[1:] < self.begin[:-1] + self.window[:-1])
+        if len(wrong_rows):
             raise ValueError(
-                f"stitch {self.first_stitch + int(wrong[0]) + 1} begins before the window of the "
-                "one before it has ended"
+                f"stitch {self.first_stitch + int(wrong_rows[0]) + 1} begins before the window of "
+                "the one before it has ended"
             )
 
     def __len__(self) -> int:
@@ -264,7 +264,7 @@ class StepPlay(Locked):
             than its window, ends after ``duration_ticks``, or does not follow the preceding stitch.
         """
         next_stitch, free_tick = 0, 0
-        table_spans = _spans(self.library)
+        table_counts = _spans(self.library)
         for block in self.blocks:
             if block.first_stitch != next_stitch or block.table.shape[1] != len(self.axes):
                 raise ValueError(
@@ -277,9 +277,9 @@ class StepPlay(Locked):
                 ("begin", block.begin[:1, None], free_tick, 2**62),
                 ("needle", block.needle[:, None], 0, 2),
             ):
-                wrong = np.flatnonzero(((values < low) | (values >= high)).any(axis=1))
-                if len(wrong):
-                    row = int(wrong[0])
+                wrong_rows = np.flatnonzero(((values < low) | (values >= high)).any(axis=1))
+                if len(wrong_rows):
+                    row = int(wrong_rows[0])
                     raise ValueError(
                         f"stitch {next_stitch + row}: {name} {values[row].tolist()} is not "
                         f"from {low} to {high - 1}"
@@ -288,7 +288,7 @@ class StepPlay(Locked):
                 block.window if self.counted_by == "time" else np.array([self.window_angle])
             )
             too_long = np.flatnonzero(
-                (table_spans[block.table] > window_counts[:, None]).any(axis=1)
+                (table_counts[block.table] > window_counts[:, None]).any(axis=1)
             )
             if len(too_long):
                 raise ValueError(
@@ -363,9 +363,9 @@ def concatenated_intervals(tables: tuple[StepTable, ...]) -> tuple[IntArray, Int
 @lru_cache(maxsize=1)
 def _spans(tables: tuple[StepTable, ...]) -> IntArray:
     """Return the (k + 1,) length of each table in counts; the last entry, 0, means no table."""
-    spans = np.zeros(len(tables) + 1, dtype=np.int64)
+    table_counts = np.zeros(len(tables) + 1, dtype=np.int64)
     if tables:
         intervals, begins = concatenated_intervals(tables)
-        spans[:-1] = np.add.reduceat(intervals, begins)
-    spans.setflags(write=False)
-    return spans
+        table_counts[:-1] = np.add.reduceat(intervals, begins)
+    table_counts.setflags(write=False)
+    return table_counts

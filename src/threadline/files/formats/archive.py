@@ -95,8 +95,8 @@ class ColumnSpool:
                 spool.seek(0)
                 with archive.open(_info(f"{name}.npy"), "w", force_zip64=True) as member:
                     npy.write_array_header_2_0(member, header)
-                    while part := spool.read(_COPY_BYTES):
-                        member.write(part)
+                    while chunk := spool.read(_COPY_BYTES):
+                        member.write(chunk)
 
 
 def _info(name: str) -> zipfile.ZipInfo:

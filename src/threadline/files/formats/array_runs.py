@@ -63,8 +63,8 @@ def runs(counts: IntArray, marks: IntArray) -> tuple[IntArray, IntArray, IntArra
         (k,) first row and (k,) number of rows of each run, and (k, axes) phases.
     """
     rows, axes = counts.shape
-    begins = np.empty(rows, np.int64)
-    spans = np.empty(rows, np.int64)
+    run_begins = np.empty(rows, np.int64)
+    run_lengths = np.empty(rows, np.int64)
     phases = np.empty((rows, axes), np.int64)
     trial_phases = np.empty(axes, np.int64)
     run_count = 0
@@ -72,26 +72,26 @@ def runs(counts: IntArray, marks: IntArray) -> tuple[IntArray, IntArray, IntArra
         begin, end = marks[m], marks[m + 1]
         try_whole = True
         while begin < end:
-            span = end - begin
-            if not (try_whole and _fits(counts, begin, span, trial_phases)):
+            length = end - begin
+            if not (try_whole and _fits(counts, begin, length, trial_phases)):
                 try_whole = False
-                span = 1
+                length = 1
                 step = 1
-                while begin + span + step <= end and _fits(
-                    counts, begin, span + step, trial_phases
+                while begin + length + step <= end and _fits(
+                    counts, begin, length + step, trial_phases
                 ):
-                    span += step
+                    length += step
                     step *= 2
                 while step > 0:
-                    if begin + span + step <= end and _fits(
-                        counts, begin, span + step, trial_phases
+                    if begin + length + step <= end and _fits(
+                        counts, begin, length + step, trial_phases
                     ):
-                        span += step
+                        length += step
                     step //= 2
-                _fits(counts, begin, span, trial_phases)
-            begins[run_count], spans[run_count] = begin, span
+                _fits(counts, begin, length, trial_phases)
+            run_begins[run_count], run_lengths[run_count] = begin, length
             for axis in range(axes):  # numba takes seconds to compile an assignment of a row
                 phases[run_count, axis] = trial_phases[axis]
             run_count += 1
-            begin += span
-    return begins[:run_count], spans[:run_count], phases[:run_count]
+            begin += length
+    return run_begins[:run_count], run_lengths[:run_count], phases[:run_count]

@@ -110,9 +110,9 @@ def parse_column(text: str, place: Place) -> Column:
         si_unit = next(u for u in units if same_dimension(unit, u))
         return Column(name, ChannelKind.SENSOR, "", si_unit, factor)
     axis, dot, kind_name = name.partition(".")
-    known = [f"{axis}.{kind.value}" for kind in _PER_AXIS]
-    if axis not in AXES or (dot and name not in known):
-        known_columns = known if axis in AXES else [TIME, *AXES, "operation", "tension"]
+    axis_columns = [f"{axis}.{kind.value}" for kind in _PER_AXIS]
+    if axis not in AXES or (dot and name not in axis_columns):
+        known_columns = axis_columns if axis in AXES else [TIME, *AXES, "operation", "tension"]
         raise RecordingError(
             f"unknown column {name[:60]!r}",
             place=place,
@@ -135,9 +135,9 @@ def _factor(name: str, unit: str | None, units: tuple[str, ...], place: Place) -
             return unit_factor(unit, target)
         except UnitError:
             continue
-    wanted = " or ".join(units)
+    unit_names = " or ".join(units)
     raise RecordingError(
-        f"column {name!r} is in {unit[:20]!r}, which is not a unit like {wanted}",
+        f"column {name!r} is in {unit[:20]!r}, which is not a unit like {unit_names}",
         place=place,
         remedy=remedy,
     )
@@ -430,12 +430,12 @@ def simplest_between(low: Fraction, high: Fraction) -> Fraction:
     """
     terms = []
     while True:
-        whole = floor(low)
-        if whole == low or whole + 1 <= high:
-            terms.append(whole if whole == low else whole + 1)
+        integer_part = floor(low)
+        if integer_part == low or integer_part + 1 <= high:
+            terms.append(integer_part if integer_part == low else integer_part + 1)
             break
-        terms.append(whole)
-        low, high = 1 / (high - whole), 1 / (low - whole)
+        terms.append(integer_part)
+        low, high = 1 / (high - integer_part), 1 / (low - integer_part)
     result = Fraction(terms.pop())
     while terms:
         result = terms.pop() + 1 / result

@@ -197,9 +197,9 @@ def _period(text: str, place: Place) -> Fraction:
 
 
 def _blocks(
-    known: KnownFile, channels: tuple[Channel, ...], factors: FloatArray
+    known_file: KnownFile, channels: tuple[Channel, ...], factors: FloatArray
 ) -> Iterator[RecordingBlock]:
-    path, clock, stride = known.path, channels[0].clock, channels[0].stride
+    path, clock, stride = known_file.path, channels[0].clock, channels[0].stride
     first = 0
     rows: list[list[float]] = []
 
@@ -208,7 +208,7 @@ def _blocks(
         samples = {c.name: values[:, k].copy() for k, c in enumerate(channels)}
         return RecordingBlock(first_tick={clock.name: first}, samples=samples)
 
-    with reading(known):
+    with reading(known_file):
         for number, line in text_lines(path):
             if number == 1:
                 continue

@@ -75,20 +75,21 @@ def write_recording_csv(recording: Recording, path: Path) -> Written:
     with atomic_file(path) as file:
         for line in meta_lines(TITLE, recording_meta(recording)):
             file.write(f"{line}\n".encode())
-        heads = [_TIME_COLUMN, *map(_head, channels), _EVENTS]
-        file.write((",".join(heads) + "\n").encode())
+        headings = [_TIME_COLUMN, *map(_head, channels), _EVENTS]
+        file.write((",".join(headings) + "\n").encode())
         rows = 0
-        expected: int | None = None
+        expected_tick: int | None = None
         for block in recording:
             tick = block.first_tick[clock.name]
-            parts = [block.samples[c.name] for c in channels]
-            if len({len(part) for part in parts}) != 1 or expected not in {None, tick}:
+            arrays = [block.samples[c.name] for c in channels]
+            if len({len(array) for array in arrays}) != 1 or expected_tick not in {None, tick}:
                 raise RecordingError(
-                    f"the recording has a gap at tick {expected if expected is not None else tick}",
+                    "the recording has a gap at tick "
+                    f"{expected_tick if expected_tick is not None else tick}",
                     remedy="Write it as .npz.",
                 )
-            times = clock.times_s(tick, len(parts[0]), stride).tolist()
-            columns = [part.tolist() for part in parts]
+            times = clock.times_s(tick, len(arrays[0]), stride).tolist()
+            columns = [array.tolist() for array in arrays]
             cell = events_cell(block.events, ticks=True)
             if cell and not times:
                 raise RecordingError("a block without samples has events; write it as .npz")
@@ -96,7 +97,7 @@ def write_recording_csv(recording: Recording, path: Path) -> Written:
                 file.write((",".join(map(repr, row)) + f",{cell}\n").encode())
                 cell = ""
             rows += len(times)
-            expected = tick + stride * len(times)
+            expected_tick = tick + stride * len(times)
         file.write(f"{END}{rows}\n".encode())
     return written(path)
 
@@ -127,19 +128,19 @@ def read_recording_csv(path: Path) -> Recording:
 
 
 def _read_native(path: Path) -> Recording:
-    head: list[tuple[int, str]] = []
+    header_lines: list[tuple[int, str]] = []
 
     def is_comment(numbered: tuple[int, str]) -> bool:
         if not numbered[1].startswith("#"):
-            head.append(numbered)
-        return not head
+            header_lines.append(numbered)
+        return not header_lines
 
     lines = text_lines(path)
     next(lines)
     meta = parse_meta_lines(takewhile(is_comment, lines), path)
-    if not head:
+    if not header_lines:
         raise RecordingError("the file ends before its columns", place=Place(str(path)))
-    number, text = head[0]
+    number, text = header_lines[0]
     recording = recording_from(meta, path, _native_blocks, number)
     channels = recording.channels
     place = Place(str(path), number)
@@ -154,7 +155,7 @@ def _read_native(path: Path) -> Recording:
 
 
 def _native_blocks(
-    known: KnownFile, channels: tuple[Channel, ...], head: int
+    known_file: KnownFile, channels: tuple[Channel, ...], head_line: int
 ) -> Iterator[RecordingBlock]:
     layout = _Layout(
         separator=",",
@@ -162,7 +163,7 @@ def _native_blocks(
         order=tuple(range(len(channels) + 1)),
         own=True,
     )
-    return _blocks(known, channels, head, layout)
+    return _blocks(known_file, channels, head_line, layout)
 
 
 def _foreign(path: Path) -> Recording:
@@ -223,12 +224,14 @@ class _Layout:
     first: int | None = None  # tick of the first row; None: from its time
 
 
-def _rows(path: Path, head: int, layout: _Layout) -> Iterator[tuple[int, list[float], list[Event]]]:
+def _rows(
+    path: Path, head_line: int, layout: _Layout
+) -> Iterator[tuple[int, list[float], list[Event]]]:
     """Yield line number, time and samples in SI, and events."""
     width = len(layout.order)
     rows, ended = 0, not layout.own
     for number, line in text_lines(path):
-        if number <= head:
+        if number <= head_line:
             continue
         place = Place(str(path), number)
         if layout.own and line.startswith(END):
@@ -285,9 +288,9 @@ def parse_number(cell: str, place: Place, *, nan: bool = False) -> float:
 
 
 def _blocks(
-    known: KnownFile, channels: tuple[Channel, ...], head: int, layout: _Layout
+    known_file: KnownFile, channels: tuple[Channel, ...], head_line: int, layout: _Layout
 ) -> Iterator[RecordingBlock]:
-    path, clock, stride = known.path, channels[0].clock, channels[0].stride
+    path, clock, stride = known_file.path, channels[0].clock, channels[0].stride
     values: list[list[float]] = []
     events: list[Event] = []
     first = layout.first
@@ -298,8 +301,8 @@ def _blocks(
         samples = {c.name: columns[k] for k, c in enumerate(channels)}
         return RecordingBlock(first_tick={clock.name: tick}, samples=samples, events=tuple(events))
 
-    with reading(known):
-        for number, row, row_events in _rows(path, head, layout):
+    with reading(known_file):
+        for number, row, row_events in _rows(path, head_line, layout):
             place = Place(str(path), number)
             if first is None:
                 first = min(max(0, round(row[0] / float(clock.period_s))), MAX_COUNTS)

@@ -108,14 +108,14 @@ class TraceWriter:
             If the block is too large for one chunk.
         """
         samples = block.samples
-        parts = [np.ascontiguousarray(samples[name], "<f8") for name in self._names]
+        arrays = [np.ascontiguousarray(samples[name], "<f8") for name in self._names]
         head = {
             "first": dict(block.first_tick),
-            "lengths": list(map(len, parts)),
+            "lengths": list(map(len, arrays)),
             "events": [event_item(event) for event in block.events],
         }
         text = _encoded(head).encode()
-        data = b"".join([_LENGTH.pack(len(text)), text, *(part.data for part in parts)])
+        data = b"".join([_LENGTH.pack(len(text)), text, *(array.data for array in arrays)])
         if len(data) > _MOST_BLOCK_BYTES:
             raise RecordingError(
                 f"a block has {len(data)} bytes, limit {_MOST_BLOCK_BYTES}",
@@ -351,15 +351,15 @@ def _unpacked(chunk: Chunk) -> bytes:
     return bytes(data)
 
 
-def _blocks(known: KnownFile, channels: tuple[Channel, ...]) -> Iterator[RecordingBlock]:
-    place = Place(str(known.path))
+def _blocks(known_file: KnownFile, channels: tuple[Channel, ...]) -> Iterator[RecordingBlock]:
+    place = Place(str(known_file.path))
     last_ticks: Mapping[str, int] = {channel.clock.name: 0 for channel in channels}
     number = 0
-    with reading(known), known.path.open("rb") as file:
-        for record, is_end in _records(file, known.path):
+    with reading(known_file), known_file.path.open("rb") as file:
+        for record, is_end in _records(file, known_file.path):
             if isinstance(record, Message):
                 if record.sequence != number % (1 << 32):
-                    raise _damaged(f"block {number} is missing", known.path)
+                    raise _damaged(f"block {number} is missing", known_file.path)
                 number += 1
                 block = _block(bytes(record.data), channels, place)
                 last_ticks = block.first_tick

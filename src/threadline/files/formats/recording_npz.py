@@ -72,8 +72,8 @@ def write_recording_npz(recording: Recording, path: Path) -> Written:
             spool.column(name, "<f8")
         events = EventSpool(spool)
         for block in recording:
-            parts = [block.samples[channel.name] for channel in channels]
-            lengths = [len(part) for part in parts]
+            arrays = [block.samples[channel.name] for channel in channels]
+            lengths = [len(array) for array in arrays]
             if sum(lengths) > MAX_BLOCK_SAMPLES:
                 raise RecordingError(
                     f"a block has {sum(lengths)} samples, limit {MAX_BLOCK_SAMPLES}",
@@ -81,8 +81,8 @@ def write_recording_npz(recording: Recording, path: Path) -> Written:
                 )
             first_ticks = [block.first_tick[clock] for clock in clocks]
             spool.append("blocks", np.array([*first_ticks, *lengths, len(block.events)]))
-            for name, part in zip(names, parts, strict=True):
-                spool.append(name, part)
+            for name, array in zip(names, arrays, strict=True):
+                spool.append(name, array)
             events.append(block.events)
         spool.pack(file, {**meta, "event_names": events.names})
     return written(path)
@@ -123,10 +123,10 @@ def _open(
 
 
 def _blocks(
-    known: KnownFile, channels: tuple[Channel, ...], event_names: tuple[str, ...]
+    known_file: KnownFile, channels: tuple[Channel, ...], event_names: tuple[str, ...]
 ) -> Iterator[RecordingBlock]:
-    path, clocks = known.path, _clock_names(channels)
-    with reading(known), ColumnArchive(path) as archive:
+    path, clocks = known_file.path, _clock_names(channels)
+    with reading(known_file), ColumnArchive(path) as archive:
         blocks, columns, events = _open(archive, channels, event_names, path)
         left_counts = np.array([*(column.rows for column in columns), events.left])
         for rows in blocks.runs(1024):

@@ -125,15 +125,17 @@ def read_text_table(
         return checked_rows(table, meta, path)
 
 
-def _blocks(known: KnownFile, axes: int, head: int, needle_columns: int) -> Iterator[TickBlock]:
+def _blocks(
+    known_file: KnownFile, axes: int, head_line: int, needle_columns: int
+) -> Iterator[TickBlock]:
     """Yield the blocks; the ``needle_columns`` cells of the needle are counted but not read."""
-    path = known.path
-    with reading(known):
+    path = known_file.path
+    with reading(known_file):
         rows: list[list[int]] = []
         events: list[Event] = []
         end_events: list[Event] = []
         first = 0
-        for number, line in body_lines(path, head):
+        for number, line in body_lines(path, head_line):
             place = Place(str(path), number)
             if line.startswith(END):
                 check_end(line, first + len(rows), place)

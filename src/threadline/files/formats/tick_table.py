@@ -283,9 +283,9 @@ def _open_npz(
     return counts, operation, EventColumns(archive, names, Place(str(path)))
 
 
-def _npz_blocks(known: KnownFile, axes: int, names: tuple[str, ...]) -> Iterator[TickBlock]:
-    path = known.path
-    with reading(known), ColumnArchive(path) as archive:
+def _npz_blocks(known_file: KnownFile, axes: int, names: tuple[str, ...]) -> Iterator[TickBlock]:
+    path = known_file.path
+    with reading(known_file), ColumnArchive(path) as archive:
         counts, operation, columns = _open_npz(archive, names, axes, path)
         pending: list[Event] = []
         first, row_count = 0, counts.rows

@@ -79,19 +79,25 @@ def _lines(
     if needle_rows is not None:
         cuts |= set(needle_rows.changes().tolist())
     marks = np.array(sorted(cuts), dtype=np.int64)
-    begins, spans, phases = runs(np.ascontiguousarray(block.counts), marks)
-    for begin, span, phase in zip(begins.tolist(), spans.tolist(), phases.tolist(), strict=True):
-        total = block.counts[begin : begin + span].sum(axis=0).tolist()
-        cells = [f"{t // span},{t % span},{h}" for t, h in zip(total, phase, strict=True)]
+    run_begins, run_lengths, phases = runs(np.ascontiguousarray(block.counts), marks)
+    for begin, run_length, phase in zip(
+        run_begins.tolist(), run_lengths.tolist(), phases.tolist(), strict=True
+    ):
+        total = block.counts[begin : begin + run_length].sum(axis=0).tolist()
+        cells = [
+            f"{t // run_length},{t % run_length},{h}" for t, h in zip(total, phase, strict=True)
+        ]
         tick = block.first_tick + begin
         row_events = [e for e in pending if e.tick == tick]
         if row_events:
             pending = [e for e in pending if e.tick != tick]
         needle_cells = (
-            "" if needle_rows is None else f"{needle_rows.cells(begin, begin + span, period_s)},"
+            ""
+            if needle_rows is None
+            else f"{needle_rows.cells(begin, begin + run_length, period_s)},"
         )
         yield (
-            f"{span},{','.join(cells)},{operation[begin]},{needle_cells}{events_cell(row_events)}\n"
+            f"{run_length},{','.join(cells)},{operation[begin]},{needle_cells}{events_cell(row_events)}\n"
         )
     if pending:  # at the end of the last row
         end = block.first_tick + len(block)
@@ -113,9 +119,11 @@ def read_array(path: Path) -> TickTable:
     return read_text_table(path, TITLE, _columns, _blocks)
 
 
-def _blocks(known: KnownFile, axes: int, head: int, needle_columns: int) -> Iterator[TickBlock]:
+def _blocks(
+    known_file: KnownFile, axes: int, head_line: int, needle_columns: int
+) -> Iterator[TickBlock]:
     """Yield the blocks; the ``needle_columns`` cells of the needle are counted but not read."""
-    path = known.path
+    path = known_file.path
     first, row_count = 0, 0  # tick of the next block, rows that are ready for it
     counts: list[IntArray] = []
     operation: list[IntArray] = []
@@ -129,8 +137,8 @@ def _blocks(known: KnownFile, axes: int, head: int, needle_columns: int) -> Iter
             events=tuple(events),
         )
 
-    with reading(known):
-        for number, line in body_lines(path, head):
+    with reading(known_file):
+        for number, line in body_lines(path, head_line):
             place = Place(str(path), number)
             if line.startswith(END):
                 check_end(line, first + row_count, place)
@@ -141,17 +149,17 @@ def _blocks(known: KnownFile, axes: int, head: int, needle_columns: int) -> Iter
                 raise RecordingError(
                     f"the line has {len(cells)} cells, expected {cell_count}", place=place
                 )
-            span = whole_number(cells[0], place)
+            line_ticks = whole_number(cells[0], place)
             line_events = parse_events_cell(cells[-1], first + row_count, place)
-            if span == 0:
+            if line_ticks == 0:
                 events += line_events
                 continue
             operation_number = whole_number(cells[1 + 3 * axes], place)
-            if not 0 < span <= MAX_TICKS:
-                raise RecordingError(f"{span} ticks, limit {MAX_TICKS}", place=place)
-            if span > READ_ROWS:
-                _check_within(first + row_count + span, path, place)
-            for rows in _rows(cells[1 : 1 + 3 * axes], span, path, place):
+            if not 0 < line_ticks <= MAX_TICKS:
+                raise RecordingError(f"{line_ticks} ticks, limit {MAX_TICKS}", place=place)
+            if line_ticks > READ_ROWS:
+                _check_within(first + row_count + line_ticks, path, place)
+            for rows in _rows(cells[1 : 1 + 3 * axes], line_ticks, path, place):
                 if row_count >= READ_ROWS:
                     yield block()
                     first, row_count = first + row_count, 0
@@ -178,15 +186,15 @@ def _check_within(end: int, path: Path, place: Place) -> None:
         )
 
 
-def _rows(cells: list[str], span: int, path: Path, place: Place) -> Iterator[IntArray]:
+def _rows(cells: list[str], line_ticks: int, path: Path, place: Place) -> Iterator[IntArray]:
     """Yield the rows of one line in parts of limited length."""
     numbers = np.array([whole_number(cell, place) for cell in cells], dtype=np.int64)
     speed, remainder, phase = numbers[0::3], numbers[1::3], numbers[2::3]
-    if ((remainder < 0) | (remainder >= span) | (phase < 0) | (phase >= span)).any():
+    if ((remainder < 0) | (remainder >= line_ticks) | (phase < 0) | (phase >= line_ticks)).any():
         raise RecordingError(
-            f"remainders and phases must lie between 0 and {span - 1}", place=place
+            f"remainders and phases must lie between 0 and {line_ticks - 1}", place=place
         )
-    for begin in range(0, span, READ_ROWS):
-        k = np.arange(begin, min(begin + READ_ROWS, span) + 1, dtype=np.int64)[:, None]
-        extra = np.diff((phase + k * remainder) // span, axis=0)
+    for begin in range(0, line_ticks, READ_ROWS):
+        k = np.arange(begin, min(begin + READ_ROWS, line_ticks) + 1, dtype=np.int64)[:, None]
+        extra = np.diff((phase + k * remainder) // line_ticks, axis=0)
         yield checked_counts(speed + extra, path)
