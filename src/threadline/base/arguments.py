@@ -71,8 +71,8 @@ def _check(function: Callable[..., Any], positional: Sequence[Any], named: dict[
             remedy=f"It is {function.__name__}{_signature_text(signature)}.",
         ) from None
     for name, value in bound.arguments.items():
-        is_keywords = signature.parameters[name].kind is inspect.Parameter.VAR_KEYWORD
-        if not is_keywords and (takes := _takes(function, name)) is not Any:
+        is_variadic = signature.parameters[name].kind is inspect.Parameter.VAR_KEYWORD
+        if not is_variadic and (takes := _takes(function, name)) is not Any:
             check_argument(name, value, takes)
 
 

@@ -180,12 +180,12 @@ class Cluster:
         """
         digest, content = self._sent(work)
         waiting: deque[tuple[Any, list[T]]] = deque()
-        item_iterator, ahead = iter(items), deque[T]()
+        item_iterator, taken_items = iter(items), deque[T]()
         try:
             while True:
                 max_tasks = max(_AHEAD * self.cores, _LEAST_AHEAD)
                 while len(waiting) < max_tasks and (
-                    task := self._task(item_iterator, ahead, digest)
+                    task := self._task(item_iterator, taken_items, digest)
                 ):
                     waiting.append((self._begun(content, digest, task), task))
                 if not waiting:
@@ -231,13 +231,13 @@ class Cluster:
             self._known[digest] = work.known()
         return digest, future
 
-    def _task(self, item_iterator: Iterator[T], ahead: deque[T], digest: str) -> list[T]:
-        """Return the items of the next task, none at the end; ``ahead`` has items taken before."""
+    def _task(self, item_iterator: Iterator[T], taken_items: deque[T], digest: str) -> list[T]:
+        """Return the items of the next task, none at the end; ``taken_items`` were taken before."""
         item_s = self._item_s.get(digest, TASK_S)
-        missing_count = _LAST * self.cores * int(TASK_S / max(item_s, 1e-4)) - len(ahead)
-        ahead.extend(islice(item_iterator, max(missing_count, 1 - len(ahead), 0)))
-        count = min(items_at_once(item_s, len(ahead), self.cores), len(ahead))
-        return [ahead.popleft() for _ in range(count)]
+        missing_count = _LAST * self.cores * int(TASK_S / max(item_s, 1e-4)) - len(taken_items)
+        taken_items.extend(islice(item_iterator, max(missing_count, 1 - len(taken_items), 0)))
+        count = min(items_at_once(item_s, len(taken_items), self.cores), len(taken_items))
+        return [taken_items.popleft() for _ in range(count)]
 
     def _begun(self, content: Any, digest: str, items: list[Any]) -> Any:
         with self._failing(), _quiet():
@@ -329,10 +329,10 @@ class Cluster:
         except ThreadlineError:
             raise
         except KilledWorker as error:
-            last = getattr(error.last_worker, "address", "one of them")
+            last_worker = getattr(error.last_worker, "address", "one of them")
             raise LinkFaultError(
                 f"workers of --cluster {self.address} ended {error.allowed_failures + 1} times "
-                f"while they judged the same machines, the last time {last}",
+                f"while they judged the same machines, the last time {last_worker}",
                 remedy="Were they killed for their memory? Give each worker more, or fewer "
                 f"threads. {_RESUME}",
             ) from error

@@ -148,18 +148,18 @@ class CacheFile(IndexDataCacheFile):
     @contextmanager
     def _open_for_write(self, filepath: str) -> Iterator[BinaryIO]:
         """Write a temporary file, then rename it; an interrupt leaves no partial file."""
-        part = Path(f"{filepath}.tmp.{uuid.uuid4().hex[:16]}")
+        temporary = Path(f"{filepath}.tmp.{uuid.uuid4().hex[:16]}")
         try:
             content = BytesIO()
             yield content
-            with part.open("wb") as file:
+            with temporary.open("wb") as file:
                 file.write(_digest(content.getvalue()))
                 file.write(content.getbuffer())
                 file.flush()
                 os.fsync(file.fileno())
-            part.replace(filepath)
+            temporary.replace(filepath)
         finally:
-            part.unlink(missing_ok=True)
+            temporary.unlink(missing_ok=True)
 
     def _load_index(self) -> dict[Hashable, str]:
         """Return key -> file name; empty if the index is missing or damaged."""
@@ -176,10 +176,10 @@ class CacheFile(IndexDataCacheFile):
         """Return machine code; raise OSError if the file is missing or damaged."""
         return pickle.loads(_checked(Path(self._cache_path) / name))  # noqa: S301
 
-    def _forget(self, kept: set[str]) -> None:
+    def _forget(self, kept_names: set[str]) -> None:
         """Remove machine code of older sources; a process that still needs it compiles again."""
         for file in Path(self._cache_path).glob(self._data_name_pattern.replace("{number:d}", "*")):
-            if file.name not in kept:
+            if file.name not in kept_names:
                 file.unlink(missing_ok=True)
 
 
@@ -191,10 +191,10 @@ def _checked(path: Path) -> bytes:
     """Return the content that follows the digest in a file; raise OSError if they disagree."""
     content = path.read_bytes()
     size = hashlib.sha256().digest_size
-    digest, rest = content[:size], content[size:]
-    if digest != _digest(rest):
+    digest, body = content[:size], content[size:]
+    if digest != _digest(body):
         raise OSError(f"{path} does not have its digest")
-    return rest
+    return body
 
 
 class _Clock(Listener):

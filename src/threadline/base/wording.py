@@ -230,36 +230,36 @@ def field_fault(error: Mapping[str, Any]) -> tuple[str, str]:
         One of ``ValidationError.errors()`` of pydantic.
     """
     kind, context = error["type"], error.get("ctx", {})
-    got = f", got {_shown(error.get('input'))}"
+    got_text = f", got {_shown(error.get('input'))}"
     for ending in ("_type", "_parsing", "_exact_type"):
         if kind.endswith(ending) and kind.removesuffix(ending) in _KINDS:
             must, remedy = _KINDS[kind.removesuffix(ending)]
-            return must + got, remedy
+            return must + got_text, remedy
     if kind in _RANGES:
         words, key = _RANGES[kind]
-        return f"must be {words} {context[key]}{got}", "Correct the number."
+        return f"must be {words} {context[key]}{got_text}", "Correct the number."
     if kind in {"literal_error", "enum"}:
-        return f"must be {context['expected']}{got}", _nearest(error, context["expected"])
+        return f"must be {context['expected']}{got_text}", _nearest(error, context["expected"])
     if kind == "union_tag_invalid":
         tags = context["expected_tags"]
         return f"kind must be one of {tags}, got {context['tag']!r}", _nearest(context, tags)
     if kind == "too_short":
-        least = context["min_length"]
-        entries = "entry" if least == 1 else "entries"
-        return f"must have at least {least} {entries}{got}", "Add what is missing."
+        min_length = context["min_length"]
+        entries = "entry" if min_length == 1 else "entries"
+        return f"must have at least {min_length} {entries}{got_text}", "Add what is missing."
     if kind == "too_long":
         # Pydantic gives the number of entries only for lists, and None for tables.
-        most, count = context["max_length"], len(error["input"])
-        entries = "entry" if most == 1 else "entries"
-        return f"must have at most {most} {entries}, got {count}", "Take some out."
+        max_length, count = context["max_length"], len(error["input"])
+        entries = "entry" if max_length == 1 else "entries"
+        return f"must have at most {max_length} {entries}, got {count}", "Take some out."
     if kind == "string_pattern_mismatch":
         unknown = f"must look like {context['pattern']}", "Correct it."
         must, remedy = _PATTERNS.get(context["pattern"], unknown)
-        return must + got, remedy
+        return must + got_text, remedy
     if kind == "value_error":
         return str(error["msg"]).removeprefix("Value error, "), ""
     message = str(error["msg"]).removeprefix("Input ")
-    return f"{message[:1].lower()}{message[1:]}{got}", "Correct it."
+    return f"{message[:1].lower()}{message[1:]}{got_text}", "Correct it."
 
 
 def nearest(name: str, known: Iterable[str], otherwise: str = "Known") -> str:
@@ -278,9 +278,9 @@ def nearest(name: str, known: Iterable[str], otherwise: str = "Known") -> str:
 
 
 def _nearest(error: Mapping[str, Any], expected: str) -> str:
-    known = re.findall(r"'([^']*)'", expected)
-    given = error.get("tag", error.get("input"))
-    matches = difflib.get_close_matches(str(given), known, n=1)
+    known_words = re.findall(r"'([^']*)'", expected)
+    given_word = error.get("tag", error.get("input"))
+    matches = difflib.get_close_matches(str(given_word), known_words, n=1)
     return f"Did you mean {matches[0]!r}?" if matches else "Choose one of them."
 
 
