@@ -71,8 +71,8 @@ def _check(function: Callable[..., Any], positional: Sequence[Any], named: dict[
             remedy=f"It is {function.__name__}{_signature_text(signature)}.",
         ) from None
     for name, value in bound.arguments.items():
-        options = signature.parameters[name].kind is inspect.Parameter.VAR_KEYWORD
-        if not options and (takes := _takes(function, name)) is not Any:
+        is_variadic = signature.parameters[name].kind is inspect.Parameter.VAR_KEYWORD
+        if not is_variadic and (takes := _takes(function, name)) is not Any:
             check_argument(name, value, takes)
 
 
@@ -111,10 +111,10 @@ def _fits(value: object, takes: Any) -> bool:
     if isinstance(takes, UnionType):
         return any(_fits(value, one) for one in get_args(takes))
     if get_origin(takes) is not None:  # a sequence of items of one type
-        (inner,) = get_args(takes)
+        (item_type,) = get_args(takes)
         if isinstance(value, str | bytes) or not isinstance(value, Sequence):
             return False
-        return all(_fits(one, inner) for one in value)
+        return all(_fits(one, item_type) for one in value)
     if takes in {int, float} and isinstance(value, bool):
         return False
     return isinstance(value, int | float if takes is float else takes)
@@ -131,8 +131,8 @@ def _is_text(text: str) -> bool:
 def _named(takes: Any) -> str:
     """Return the names of types as words for an error message."""
     if isinstance(takes, UnionType):
-        *most, last = dict.fromkeys(map(_named, get_args(takes)))
-        return f"{', '.join(most)} or {last}" if most else last
+        *other_names, last_name = dict.fromkeys(map(_named, get_args(takes)))
+        return f"{', '.join(other_names)} or {last_name}" if other_names else last_name
     if get_origin(takes) is not None:
         return f"a list, each item {_named(get_args(takes)[0])}"
     return _WORDS.get(takes, f"a {takes.__name__}")

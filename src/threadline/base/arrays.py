@@ -36,8 +36,8 @@ def read_only(values: ArrayLike, name: str, *, ndim: int) -> FloatArray:
     array = _taken(values, np.float64)
     _check_ndim(array.ndim, name, ndim)
     if not np.isfinite(array).all():
-        at = np.argwhere(~np.isfinite(array))[0].tolist()
-        raise ValueError(f"{name} must be finite, found {array[tuple(at)]!r} at index {at}")
+        index = np.argwhere(~np.isfinite(array))[0].tolist()
+        raise ValueError(f"{name} must be finite, found {array[tuple(index)]!r} at index {index}")
     array.flags.writeable = False
     return array
 
@@ -56,7 +56,9 @@ def real_numbers(values: ArrayLike) -> FloatArray:
     array = np.asarray(values)
     if array.dtype.kind not in "biufO":
         raise TypeError(f"{array.dtype} are not real numbers")
-    if array.dtype.kind == "O" and any(one is None or isinstance(one, str) for one in array.flat):
+    if array.dtype.kind == "O" and any(
+        value is None or isinstance(value, str) for value in array.flat
+    ):
         raise TypeError("texts, or nothing, are not real numbers")
     try:
         return np.array(array, dtype=np.float64)
@@ -67,7 +69,7 @@ def real_numbers(values: ArrayLike) -> FloatArray:
 def _is_masked(values: object) -> bool:
     """Return whether a mask hides a value; numpy would drop the mask without a warning."""
     if isinstance(values, list | tuple):
-        return any(_is_masked(one) for one in values if not isinstance(one, float | int))
+        return any(_is_masked(value) for value in values if not isinstance(value, float | int))
     return np.ma.is_masked(values)
 
 
@@ -91,10 +93,10 @@ def read_only_int(values: ArrayLike, name: str, *, ndim: int) -> IntArray:
 def _taken(values: ArrayLike, dtype: type[Any]) -> NDArray[Any]:
     """Return a copy of ``values``, or ``values`` if they and all their bases are locked."""
     if type(values) is np.ndarray and values.dtype == dtype and values.flags.c_contiguous:
-        part: Any = values
-        while isinstance(part, np.ndarray) and not part.flags.writeable:
-            part = part.base
-        if part is None:
+        base: Any = values
+        while isinstance(base, np.ndarray) and not base.flags.writeable:
+            base = base.base
+        if base is None:
             return values
     return np.array(values, dtype=dtype)
 
@@ -110,9 +112,9 @@ def largest_of_axes(values: FloatArray) -> FloatArray:
     return largest
 
 
-def _check_ndim(found: int, name: str, wanted: int) -> None:
-    if found != wanted:
-        raise ValueError(f"{name} must have {wanted} dimension(s), got {found}")
+def _check_ndim(ndim: int, name: str, expected: int) -> None:
+    if ndim != expected:
+        raise ValueError(f"{name} must have {expected} dimension(s), got {ndim}")
 
 
 class Locked:
@@ -130,13 +132,13 @@ class Locked:
 
 def _locked(cls: type[Any], state: Mapping[str, Any]) -> Any:
     """Return an object of ``cls`` with the attributes of ``state``, every array locked."""
-    found = object.__new__(cls)
+    restored = object.__new__(cls)
     for name, value in state.items():
         for array in value.values() if isinstance(value, Mapping) else (value,):
             if isinstance(array, np.ndarray):
                 array.flags.writeable = False
-        object.__setattr__(found, name, value)
-    return found
+        object.__setattr__(restored, name, value)
+    return restored
 
 
 def finite(value: float | None) -> float | None:
@@ -167,9 +169,9 @@ class Recent(Generic[K, V]):
 
     def of(self, key: K, make: Callable[[], V]) -> V:
         """Return the cached result for ``key`` or a key like it, else the result of ``make``."""
-        for known, made in self._known:
-            if self._alike(known, key):
-                return made
-        made = make()
-        self._known = ((key, made), *self._known[: self._most - 1])
-        return made
+        for known_key, result in self._known:
+            if self._alike(known_key, key):
+                return result
+        result = make()
+        self._known = ((key, result), *self._known[: self._most - 1])
+        return result

@@ -69,23 +69,23 @@ def parse_cluster(text: str) -> str:
     OptionError
         If the text is not an address, or is the address of another computer without TLS.
     """
-    way, _, rest = text.strip().rpartition("://")
-    way = way or "tcp"
-    host, _, port = rest.rpartition(":")
+    protocol, _, address = text.strip().rpartition("://")
+    protocol = protocol or "tcp"
+    host, _, port = address.rpartition(":")
     host = host.removeprefix("[").removesuffix("]")
-    number = int(port[:9]) if port.isascii() and port.isdigit() else 0
-    if way not in {"tcp", "tls"} or not host or not 1 <= number <= 65535:
+    port_number = int(port[:9]) if port.isascii() and port.isdigit() else 0
+    if protocol not in {"tcp", "tls"} or not host or not 1 <= port_number <= 65535:
         raise OptionError(
             f"--cluster {text[:80]!r} is no address of a scheduler",
             remedy='Write it like "localhost:8786", or "tls://HOST:8786" for another computer.',
         )
-    if way == "tcp" and not _on_this_computer(host):
+    if protocol == "tcp" and not _on_this_computer(host):
         raise OptionError(
             f"--cluster {text[:80]!r} is another computer, without encryption: a scheduler runs "
             "any code that it is sent",
-            remedy=f'Start the scheduler with TLS, and write "tls://{rest}".',
+            remedy=f'Start the scheduler with TLS, and write "tls://{address}".',
         )
-    return f"{way}://{rest}"
+    return f"{protocol}://{address}"
 
 
 def _on_this_computer(host: str) -> bool:
@@ -180,29 +180,33 @@ class Cluster:
         """
         digest, content = self._sent(work)
         waiting: deque[tuple[Any, list[T]]] = deque()
-        given, ahead = iter(items), deque[T]()
+        item_iterator, taken_items = iter(items), deque[T]()
         try:
             while True:
-                most = max(_AHEAD * self.cores, _LEAST_AHEAD)
-                while len(waiting) < most and (task := self._task(given, ahead, digest)):
+                max_tasks = max(_AHEAD * self.cores, _LEAST_AHEAD)
+                while len(waiting) < max_tasks and (
+                    task := self._task(item_iterator, taken_items, digest)
+                ):
                     waiting.append((self._begun(content, digest, task), task))
                 if not waiting:
                     break
                 try:
-                    found = self._awaited(waiting[0][0])
+                    task_answer = self._awaited(waiting[0][0])
                 except CancelledError:  # the scheduler was restarted and has lost all tasks
                     self._works.clear()
                     digest, content = self._sent(work)
-                    again = [(self._begun(content, digest, task), task) for _, task in waiting]
-                    waiting = deque(again)
+                    resubmitted = [
+                        (self._begun(content, digest, task), task) for _, task in waiting
+                    ]
+                    waiting = deque(resubmitted)
                     continue
                 future, task = waiting.popleft()
                 future.release()
-                self._check_bits(found, digest)
-                before_s = self._item_s.get(digest, found.item_s)
+                self._check_bits(task_answer, digest)
+                previous_item_s = self._item_s.get(digest, task_answer.item_s)
                 # The first task also loads machine code, so later tasks count more.
-                self._item_s[digest] = 0.5 * (before_s + found.item_s)
-                for item, answer in zip(task, found.answers, strict=True):
+                self._item_s[digest] = 0.5 * (previous_item_s + task_answer.item_s)
+                for item, answer in zip(task, task_answer.answers, strict=True):
                     if done is not None:
                         done(work.machines(item))
                     yield answer
@@ -227,13 +231,13 @@ class Cluster:
             self._known[digest] = work.known()
         return digest, future
 
-    def _task(self, given: Iterator[T], ahead: deque[T], digest: str) -> list[T]:
-        """Return the items of the next task, none at the end; ``ahead`` has items taken before."""
+    def _task(self, item_iterator: Iterator[T], taken_items: deque[T], digest: str) -> list[T]:
+        """Return the items of the next task, none at the end; ``taken_items`` were taken before."""
         item_s = self._item_s.get(digest, TASK_S)
-        more = _LAST * self.cores * int(TASK_S / max(item_s, 1e-4)) - len(ahead)
-        ahead.extend(islice(given, max(more, 1 - len(ahead), 0)))
-        count = min(items_at_once(item_s, len(ahead), self.cores), len(ahead))
-        return [ahead.popleft() for _ in range(count)]
+        missing_count = _LAST * self.cores * int(TASK_S / max(item_s, 1e-4)) - len(taken_items)
+        taken_items.extend(islice(item_iterator, max(missing_count, 1 - len(taken_items), 0)))
+        count = min(items_at_once(item_s, len(taken_items), self.cores), len(taken_items))
+        return [taken_items.popleft() for _ in range(count)]
 
     def _begun(self, content: Any, digest: str, items: list[Any]) -> Any:
         with self._failing(), _quiet():
@@ -245,18 +249,18 @@ class Cluster:
         """Return the answer of a task; fail if the scheduler is lost or no worker remains."""
         while True:
             with self._failing():
-                found = _result(future)
-            if isinstance(found, Refusal):
-                raise self._refused(found.worker, found.why)
-            if found is not None:
+                result = _result(future)
+            if isinstance(result, Refusal):
+                raise self._refused(result.worker, result.why)
+            if result is not None:
                 self._seen_s = time.monotonic()
-                return found
+                return result
             self._count()
 
-    def _check_bits(self, found: Answer, digest: str) -> None:
-        if found.known != self._known[digest]:
+    def _check_bits(self, answer: Answer, digest: str) -> None:
+        if answer.known != self._known[digest]:
             raise LinkFaultError(
-                f"worker {found.worker} of --cluster {self.address} gets other bits than this "
+                f"worker {answer.worker} of --cluster {self.address} gets other bits than this "
                 "computer for the machine of the file",
                 remedy="Its processor has other instructions: give workers of one kind, or let "
                 "all of them use the same (NPY_DISABLE_CPU_FEATURES, OPENBLAS_CORETYPE). "
@@ -266,14 +270,14 @@ class Cluster:
     def _check_versions(self) -> None:
         """Refuse workers of other versions before anything is planned."""
         with self._failing(), _quiet():
-            versions_of = self._client.run(self._versions_there, on_error="return")
-        for worker, found in versions_of.items():
-            if isinstance(found, ModuleNotFoundError):
-                raise self._refused(worker, f"has no {found.name}")
-            if isinstance(found, Exception):
-                raise self._refused(worker, f"cannot tell its versions: {found}")
-            if other := other_versions(found, self._wanted):
-                raise self._refused(worker, other)
+            versions_by_worker = self._client.run(self._versions_there, on_error="return")
+        for worker, worker_versions in versions_by_worker.items():
+            if isinstance(worker_versions, ModuleNotFoundError):
+                raise self._refused(worker, f"has no {worker_versions.name}")
+            if isinstance(worker_versions, Exception):
+                raise self._refused(worker, f"cannot tell its versions: {worker_versions}")
+            if difference := other_versions(worker_versions, self._wanted):
+                raise self._refused(worker, difference)
 
     def _refused(self, worker: str, why: str) -> OptionError:
         return OptionError(
@@ -302,10 +306,10 @@ class Cluster:
                 if self._cores:
                     self._seen_s, self._met = now_s, True
                     return
-        most_s = WORKER_S if self._met else FIRST_S
-        if now_s - self._seen_s > most_s:
+        timeout_s = WORKER_S if self._met else FIRST_S
+        if now_s - self._seen_s > timeout_s:
             raise LinkFaultError(
-                f"--cluster {self.address} has had no worker for {most_s:g} s",
+                f"--cluster {self.address} has had no worker for {timeout_s:g} s",
                 remedy=f"Start workers: dask worker {self.address} --nthreads 1. {_RESUME}",
             )
 
@@ -325,16 +329,16 @@ class Cluster:
         except ThreadlineError:
             raise
         except KilledWorker as error:
-            last = getattr(error.last_worker, "address", "one of them")
+            last_worker = getattr(error.last_worker, "address", "one of them")
             raise LinkFaultError(
                 f"workers of --cluster {self.address} ended {error.allowed_failures + 1} times "
-                f"while they judged the same machines, the last time {last}",
+                f"while they judged the same machines, the last time {last_worker}",
                 remedy="Were they killed for their memory? Give each worker more, or fewer "
                 f"threads. {_RESUME}",
             ) from error
         except (CancelledError, OSError, RuntimeError, ValueError) as error:
-            lost = isinstance(error, CancelledError | OSError)
-            if not lost and self._client.status == "running":
+            is_connection_error = isinstance(error, CancelledError | OSError)
+            if not is_connection_error and self._client.status == "running":
                 raise  # of a task
             if isinstance(error, CancelledError) and self._is_back():
                 raise
@@ -364,10 +368,10 @@ def _connected(address: str) -> Any:
     for name in [*logging.root.manager.loggerDict]:  # several loggers have a level of their own
         if name.partition(".")[0] == "distributed":
             logging.getLogger(name).setLevel(logging.CRITICAL)
-    of: Any = distributed  # its constructors have no types
+    untyped_distributed: Any = distributed  # its constructors have no types
     security = None
     if address.startswith("tls://"):
-        security = of.Security(require_encryption=True)
+        security = untyped_distributed.Security(require_encryption=True)
         if security.tls_ca_file is None or security.tls_client_cert is None:
             raise OptionError(
                 f"--cluster {address} has no certificates",
@@ -377,7 +381,9 @@ def _connected(address: str) -> Any:
             )
     try:
         with _quiet():
-            return of.Client(address, timeout=CONNECT_S, security=security, set_as_default=False)
+            return untyped_distributed.Client(
+                address, timeout=CONNECT_S, security=security, set_as_default=False
+            )
     except (OSError, RuntimeError, ValueError, TypeError, EOFError) as error:
         why = " ".join(str(error).split())[:160]
         raise LinkFaultError(

@@ -111,17 +111,17 @@ def answer_on_worker(
     from distributed import get_worker
 
     worker = str(get_worker().address)
-    if other := other_versions(versions(), wanted):
-        return Refusal(worker=worker, why=other)
+    if difference := other_versions(versions(), wanted):
+        return Refusal(worker=worker, why=difference)
     try:
         ready = _prepared(content, digest)
         begun_s = time.monotonic()
-        found = [ready.work.answer(item) for item in items]
+        answers = [ready.work.answer(item) for item in items]
         item_s = (time.monotonic() - begun_s) / len(items)
-        return Answer(worker=worker, known=ready.known, answers=found, item_s=item_s)
+        return Answer(worker=worker, known=ready.known, answers=answers, item_s=item_s)
     except OSError as error:
-        what = f"{error.strerror or error}: {error.filename}" if error.filename else str(error)
-        return Refusal(worker=worker, why=f"cannot read a file of the job: {what}")
+        problem = f"{error.strerror or error}: {error.filename}" if error.filename else str(error)
+        return Refusal(worker=worker, why=f"cannot read a file of the job: {problem}")
 
 
 def _prepared(content: bytes, digest: str) -> _Ready:
@@ -138,9 +138,9 @@ def _prepared(content: bytes, digest: str) -> _Ready:
 
 def other_versions(here: Mapping[str, str], wanted: Mapping[str, str]) -> str:
     """Return in words which versions differ; empty if all agree."""
-    other = [
-        f"{name} {here.get(name, 'none')} instead of {due}"
-        for name, due in wanted.items()
-        if here.get(name) != due
+    differences = [
+        f"{name} {here.get(name, 'none')} instead of {wanted_version}"
+        for name, wanted_version in wanted.items()
+        if here.get(name) != wanted_version
     ]
-    return f"has {', '.join(other)}" if other else ""
+    return f"has {', '.join(differences)}" if differences else ""

@@ -104,14 +104,14 @@ class CacheFile(IndexDataCacheFile):
     def load(self, key: Hashable) -> Any:
         """Return the machine code of a key; None if the caller has to compile it."""
         inherited: Any = super()  # numba has types for some of itself
-        found = inherited.load(key)
-        if found is not None or key in self._making:
-            return found
+        machine_code = inherited.load(key)
+        if machine_code is not None or key in self._making:
+            return machine_code
         lock = FileLock(Path(self._cache_path) / f"{self._name_of(key)}.lock")
-        found = inherited.load(key)
-        if found is None:
+        machine_code = inherited.load(key)
+        if machine_code is None:
             self._making[key] = lock
-        return found
+        return machine_code
 
     def save(self, key: Hashable, data: object) -> None:
         """Write machine code, then its index entry.
@@ -125,10 +125,10 @@ class CacheFile(IndexDataCacheFile):
             # If it cannot be written, the next process compiles again.
             with suppress(OSError):
                 inherited._save_data(name, data)
-                known = self._load_index()
-                known[key] = name
-                inherited._save_index(known)
-                self._forget(set(known.values()))
+                index = self._load_index()
+                index[key] = name
+                inherited._save_index(index)
+                self._forget(set(index.values()))
         finally:
             lock = self._making.pop(key, None)
             if lock is not None:
@@ -137,8 +137,8 @@ class CacheFile(IndexDataCacheFile):
     @property
     def _making(self) -> dict[Hashable, FileLock]:
         """Locks of the machine code that this process has to compile."""
-        found: dict[Hashable, FileLock] = self.__dict__.setdefault("_made_here", {})
-        return found
+        locks: dict[Hashable, FileLock] = self.__dict__.setdefault("_made_here", {})
+        return locks
 
     def _name_of(self, key: Hashable) -> str:
         made_from = repr((self._version, self._source_stamp, key)).encode()
@@ -148,18 +148,18 @@ class CacheFile(IndexDataCacheFile):
     @contextmanager
     def _open_for_write(self, filepath: str) -> Iterator[BinaryIO]:
         """Write a temporary file, then rename it; an interrupt leaves no partial file."""
-        part = Path(f"{filepath}.tmp.{uuid.uuid4().hex[:16]}")
+        temporary = Path(f"{filepath}.tmp.{uuid.uuid4().hex[:16]}")
         try:
             content = BytesIO()
             yield content
-            with part.open("wb") as file:
+            with temporary.open("wb") as file:
                 file.write(_digest(content.getvalue()))
                 file.write(content.getbuffer())
                 file.flush()
                 os.fsync(file.fileno())
-            part.replace(filepath)
+            temporary.replace(filepath)
         finally:
-            part.unlink(missing_ok=True)
+            temporary.unlink(missing_ok=True)
 
     def _load_index(self) -> dict[Hashable, str]:
         """Return key -> file name; empty if the index is missing or damaged."""
@@ -176,10 +176,10 @@ class CacheFile(IndexDataCacheFile):
         """Return machine code; raise OSError if the file is missing or damaged."""
         return pickle.loads(_checked(Path(self._cache_path) / name))  # noqa: S301
 
-    def _forget(self, kept: set[str]) -> None:
+    def _forget(self, kept_names: set[str]) -> None:
         """Remove machine code of older sources; a process that still needs it compiles again."""
         for file in Path(self._cache_path).glob(self._data_name_pattern.replace("{number:d}", "*")):
-            if file.name not in kept:
+            if file.name not in kept_names:
                 file.unlink(missing_ok=True)
 
 
@@ -191,10 +191,10 @@ def _checked(path: Path) -> bytes:
     """Return the content that follows the digest in a file; raise OSError if they disagree."""
     content = path.read_bytes()
     size = hashlib.sha256().digest_size
-    digest, rest = content[:size], content[size:]
-    if digest != _digest(rest):
+    digest, body = content[:size], content[size:]
+    if digest != _digest(body):
         raise OSError(f"{path} does not have its digest")
-    return rest
+    return body
 
 
 class _Clock(Listener):
@@ -222,9 +222,9 @@ class _Lowering(Listener):
     def on_start(self, event: Event) -> None:
         """Hold interrupts back from the start of a pass that writes machine code."""
         if _writes_machine_code(event):
-            held = ExitStack()
-            held.enter_context(uninterrupted())
-            self._held.append(held)
+            stack = ExitStack()
+            stack.enter_context(uninterrupted())
+            self._held.append(stack)
 
     def on_end(self, event: Event) -> None:
         """Raise the interrupt that came during the outermost pass, if any."""
@@ -252,13 +252,13 @@ def njit(**options: Any) -> Callable[[F], Dispatcher[F]]:
     options = {"error_model": "numpy", "no_cfunc_wrapper": True, **options}
 
     def compiled(function: F) -> Dispatcher[F]:
-        found: Dispatcher[F] = numba.njit(**options)(function)
-        if _can_be_kept(found):
-            _keep_safely(found, repr(sorted(options.items())))
+        dispatcher: Dispatcher[F] = numba.njit(**options)(function)
+        if _can_be_kept(dispatcher):
+            _keep_safely(dispatcher, repr(sorted(options.items())))
         else:
             COMPILING.kept = False
-        _prepare_first(found)
-        return found
+        _prepare_first(dispatcher)
+        return dispatcher
 
     return compiled
 
@@ -292,12 +292,12 @@ def _can_be_kept(function: Any) -> bool:
 
 def _keep_safely(function: Any, options: str) -> None:
     cache = function._cache
-    own = cache._cache_file
-    made: Callable[..., CacheFile] = CacheFile
-    cache._cache_file = made(
-        cache_path=own._cache_path,
+    numba_file = cache._cache_file
+    make_cache_file: Callable[..., CacheFile] = CacheFile
+    cache._cache_file = make_cache_file(
+        cache_path=numba_file._cache_path,
         filename_base=cache._impl.filename_base,
-        source_stamp=(own._source_stamp, options, _used_by(function.py_func, {function})),
+        source_stamp=(numba_file._source_stamp, options, _used_by(function.py_func, {function})),
     )
 
 
@@ -324,18 +324,18 @@ def _used_by(function: Callable[..., Any], seen: set[Any]) -> tuple[Hashable, ..
     These are the constants of its module that it uses, and the files of the compiled functions that
     it calls, directly or through other functions.
     """
-    found: list[Hashable] = []
+    sources: list[Hashable] = []
     for name in sorted(_names(function.__code__)):
         value: Any = function.__globals__.get(name)
-        called: bool = isinstance(value, Dispatcher)
-        if called:
+        is_compiled: bool = isinstance(value, Dispatcher)
+        if is_compiled:
             if value not in seen:
                 seen.add(value)
-                found += [(name, value._cache._impl.locator.get_source_stamp())]
-                found += _used_by(value.py_func, seen)
+                sources += [(name, value._cache._impl.locator.get_source_stamp())]
+                sources += _used_by(value.py_func, seen)
         elif isinstance(value, _PLAIN):
-            found.append((name, repr(value)))
-    return tuple(found)
+            sources.append((name, repr(value)))
+    return tuple(sources)
 
 
 def _names(code: CodeType) -> set[str]:

@@ -58,10 +58,10 @@ def solved(
         problem["A_eq"], problem["b_eq"] = equal
     if below is not None:
         problem["A_ub"], problem["b_ub"] = below
-    time: Any = {} if seconds is None else {"time_limit": seconds}
-    found = linprog(cost, **problem, method="highs-ds", options=QUICK | time)
-    if found.status not in _ANSWERED:
-        found = linprog(cost, **problem, method="highs", options=time)
-    if found.status == _OUT_OF_TIME and seconds is not None:
-        found = linprog(cost, **problem, method="highs-ipm", options=time)
-    return found
+    time_limit: Any = {} if seconds is None else {"time_limit": seconds}
+    result = linprog(cost, **problem, method="highs-ds", options=QUICK | time_limit)
+    if result.status not in _ANSWERED:
+        result = linprog(cost, **problem, method="highs", options=time_limit)
+    if result.status == _OUT_OF_TIME and seconds is not None:
+        result = linprog(cost, **problem, method="highs-ipm", options=time_limit)
+    return result

@@ -125,8 +125,8 @@ class WritingSoFar:
         >>> written.share
         0.25
         """
-        done = min(motion_s / whole_s, 1.0) if whole_s > 0.0 else 1.0
-        self.share = max(self.share, self.low + (self.high - self.low) * done)
+        pass_share = min(motion_s / whole_s, 1.0) if whole_s > 0.0 else 1.0
+        self.share = max(self.share, self.low + (self.high - self.low) * pass_share)
 
 
 WRITING = WritingSoFar()
@@ -207,11 +207,11 @@ def never_back(progress: Progress | None) -> Progress | None:
     """
     if progress is None:
         return None
-    most = 0.0
+    largest = 0.0
 
     def forwards(work: str, share: float) -> None:
-        nonlocal most
-        most = max(most, share)
-        progress(work, most)
+        nonlocal largest
+        largest = max(largest, share)
+        progress(work, largest)
 
     return forwards

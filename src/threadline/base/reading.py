@@ -62,21 +62,23 @@ def within_folder(path: Path) -> Path:
 
 
 def _refuse_outside(path: Path, folder: Path) -> None:
-    real = Path(os.path.realpath(folder))
-    named = Path(os.path.normpath(path.absolute()))  # links are not followed
-    folders = (Path(os.path.normpath(folder.absolute())), real)
-    base = next((one for one in folders if named.is_relative_to(one)), None)
+    real_folder = Path(os.path.realpath(folder))
+    absolute_path = Path(os.path.normpath(path.absolute()))  # links are not followed
+    folders = (Path(os.path.normpath(folder.absolute())), real_folder)
+    base = next(
+        (candidate for candidate in folders if absolute_path.is_relative_to(candidate)), None
+    )
     if base is None:
         raise OSError(errno.EACCES, "it is not in the project folder", str(path))
-    if Path(os.path.realpath(path)) != real / named.relative_to(base):
+    if Path(os.path.realpath(path)) != real_folder / absolute_path.relative_to(base):
         raise OSError(errno.EACCES, "a link leads to it, and links are not followed", str(path))
 
 
 @contextmanager
 def noting_inputs() -> Iterator[None]:
     """Note every file that the block reads; such blocks may be nested."""
-    before = _INPUTS.get()
-    mark = _INPUTS.set({} if before is None else before)
+    outer_inputs = _INPUTS.get()
+    mark = _INPUTS.set({} if outer_inputs is None else outer_inputs)
     try:
         yield
     finally:
@@ -253,8 +255,8 @@ def read_text(
         ) from failure
     place = Place(str(path))
     if size > most_bytes:
-        said = f"the file has {size} bytes, limit {most_bytes}"
-        raise error(said, place=place, remedy=f"Is this a {what}?")
+        message = f"the file has {size} bytes, limit {most_bytes}"
+        raise error(message, place=place, remedy=f"Is this a {what}?")
     try:
         return content.decode(encoding)
     except UnicodeDecodeError as failure:

@@ -58,8 +58,8 @@ def html_table(summary: Summary) -> str:
 
 def _shortened(summary: Summary) -> Summary:
     """Return a table with only the first rows; its closing line says how many are left out."""
-    more = len(summary.rows) - MOST_ROWS
-    if more <= 0:
+    hidden_count = len(summary.rows) - MOST_ROWS
+    if hidden_count <= 0:
         return summary
-    below = "; ".join(filter(None, (summary.below, f"and {more} more rows")))
+    below = "; ".join(filter(None, (summary.below, f"and {hidden_count} more rows")))
     return summary._replace(rows=summary.rows[:MOST_ROWS], below=below)

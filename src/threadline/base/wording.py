@@ -181,15 +181,15 @@ def toml_fault(error: Exception, text: str) -> tuple[str, int]:
     if isinstance(error, RecursionError):
         return "the file is nested too deeply", 0
     message = str(error)
-    at = re.search(r" ?\(at (?:line (\d+), column \d+|end of document)\)$", message)
-    if at is None:
+    match = re.search(r" ?\(at (?:line (\d+), column \d+|end of document)\)$", message)
+    if match is None:
         return f"not valid TOML: {message}", 0
-    message = message[: at.start()]
+    message = message[: match.start()]
     message = message[:1].lower() + message[1:]
-    if at[1] is not None:
-        return f"not valid TOML: {message}", int(at[1])
-    last = text.rstrip("\n").count("\n") + 1
-    return f"not valid TOML: {message} before the end; the file may be truncated", last
+    if match[1] is not None:
+        return f"not valid TOML: {message}", int(match[1])
+    last_line = text.rstrip("\n").count("\n") + 1
+    return f"not valid TOML: {message} before the end; the file may be truncated", last_line
 
 
 def line_in_rows(text: str, rows: str, index: int | None, key: str) -> int:
@@ -207,14 +207,18 @@ def line_in_rows(text: str, rows: str, index: int | None, key: str) -> int:
     """
     is_header = re.compile(rf"\s*\[\[\s*{re.escape(rows)}\s*\]\]")
     is_key = re.compile(rf'\s*"?{re.escape(key)}"?\s*=')
-    inside, header = -1, 0
+    table_index, header_line = -1, 0
     for number, line in enumerate(text.splitlines(), start=1):
         if is_header.match(line):
-            inside += 1
-            header = number if inside == index else header
-        elif key and is_key.match(line) and (inside == index or (index is None and inside < 0)):
+            table_index += 1
+            header_line = number if table_index == index else header_line
+        elif (
+            key
+            and is_key.match(line)
+            and (table_index == index or (index is None and table_index < 0))
+        ):
             return number
-    return header
+    return header_line
 
 
 def field_fault(error: Mapping[str, Any]) -> tuple[str, str]:
@@ -226,36 +230,36 @@ def field_fault(error: Mapping[str, Any]) -> tuple[str, str]:
         One of ``ValidationError.errors()`` of pydantic.
     """
     kind, context = error["type"], error.get("ctx", {})
-    got = f", got {_shown(error.get('input'))}"
+    got_text = f", got {_shown(error.get('input'))}"
     for ending in ("_type", "_parsing", "_exact_type"):
         if kind.endswith(ending) and kind.removesuffix(ending) in _KINDS:
             must, remedy = _KINDS[kind.removesuffix(ending)]
-            return must + got, remedy
+            return must + got_text, remedy
     if kind in _RANGES:
         words, key = _RANGES[kind]
-        return f"must be {words} {context[key]}{got}", "Correct the number."
+        return f"must be {words} {context[key]}{got_text}", "Correct the number."
     if kind in {"literal_error", "enum"}:
-        return f"must be {context['expected']}{got}", _nearest(error, context["expected"])
+        return f"must be {context['expected']}{got_text}", _nearest(error, context["expected"])
     if kind == "union_tag_invalid":
         tags = context["expected_tags"]
         return f"kind must be one of {tags}, got {context['tag']!r}", _nearest(context, tags)
     if kind == "too_short":
-        least = context["min_length"]
-        entries = "entry" if least == 1 else "entries"
-        return f"must have at least {least} {entries}{got}", "Add what is missing."
+        min_length = context["min_length"]
+        entries = "entry" if min_length == 1 else "entries"
+        return f"must have at least {min_length} {entries}{got_text}", "Add what is missing."
     if kind == "too_long":
         # Pydantic gives the number of entries only for lists, and None for tables.
-        most, count = context["max_length"], len(error["input"])
-        entries = "entry" if most == 1 else "entries"
-        return f"must have at most {most} {entries}, got {count}", "Take some out."
+        max_length, count = context["max_length"], len(error["input"])
+        entries = "entry" if max_length == 1 else "entries"
+        return f"must have at most {max_length} {entries}, got {count}", "Take some out."
     if kind == "string_pattern_mismatch":
         unknown = f"must look like {context['pattern']}", "Correct it."
         must, remedy = _PATTERNS.get(context["pattern"], unknown)
-        return must + got, remedy
+        return must + got_text, remedy
     if kind == "value_error":
         return str(error["msg"]).removeprefix("Value error, "), ""
     message = str(error["msg"]).removeprefix("Input ")
-    return f"{message[:1].lower()}{message[1:]}{got}", "Correct it."
+    return f"{message[:1].lower()}{message[1:]}{got_text}", "Correct it."
 
 
 def nearest(name: str, known: Iterable[str], otherwise: str = "Known") -> str:
@@ -264,16 +268,20 @@ def nearest(name: str, known: Iterable[str], otherwise: str = "Known") -> str:
     >>> nearest("hed", ["head", "frame"]), nearest("zz", ["head", "frame"], "There are")
     ("Did you mean 'head'?", 'There are: head, frame.')
     """
-    among = list(known)
-    close = difflib.get_close_matches(name, among, n=1, cutoff=0.5)
-    return f"Did you mean {close[0]!r}?" if close else f"{otherwise}: {', '.join(among) or 'none'}."
+    known_words = list(known)
+    matches = difflib.get_close_matches(name, known_words, n=1, cutoff=0.5)
+    return (
+        f"Did you mean {matches[0]!r}?"
+        if matches
+        else f"{otherwise}: {', '.join(known_words) or 'none'}."
+    )
 
 
 def _nearest(error: Mapping[str, Any], expected: str) -> str:
-    known = re.findall(r"'([^']*)'", expected)
-    given = error.get("tag", error.get("input"))
-    close = difflib.get_close_matches(str(given), known, n=1)
-    return f"Did you mean {close[0]!r}?" if close else "Choose one of them."
+    known_words = re.findall(r"'([^']*)'", expected)
+    given_word = error.get("tag", error.get("input"))
+    matches = difflib.get_close_matches(str(given_word), known_words, n=1)
+    return f"Did you mean {matches[0]!r}?" if matches else "Choose one of them."
 
 
 def _shown(value: object) -> str:

@@ -69,11 +69,11 @@ def workers() -> Workers | None:
 @contextmanager
 def working_on(chosen: Workers) -> Iterator[None]:
     """Let ``chosen`` answer all batches that are started inside the block."""
-    before = _WORKERS.set(chosen)
+    token = _WORKERS.set(chosen)
     try:
         yield
     finally:
-        _WORKERS.reset(before)
+        _WORKERS.reset(token)
 
 
 def answers(

@@ -58,10 +58,10 @@ def check_output(path: Path) -> None:
         )
     if not status.st_mode & _ANY_WRITES or not os.access(path, os.W_OK):
         raise OptionError(f"cannot write {str(path)!r}: it is read-only", remedy=_REMEDY)
-    read = input_behind(path)
-    if read is not None:
+    input_name = input_behind(path)
+    if input_name is not None:
         raise OptionError(
-            f"{str(path)!r} is the input {read!r} and would be overwritten",
+            f"{str(path)!r} is the input {input_name!r} and would be overwritten",
             remedy="Give another file to write.",
         )
 
@@ -86,12 +86,12 @@ def check_machine_output(path: Path) -> None:
 def is_stdout(path: Path) -> bool:
     """Return whether ``path`` is the present standard output and not a file to be replaced."""
     try:
-        status, own = path.stat(), os.fstat(_STDOUT)
+        status, stdout_status = path.stat(), os.fstat(_STDOUT)
     except (OSError, ValueError):
         return False
     if str(path) in {"/dev/stdout", "/dev/fd/1", "/proc/self/fd/1"}:
         return True
-    return not stat.S_ISREG(own.st_mode) and os.path.samestat(status, own)
+    return not stat.S_ISREG(stdout_status.st_mode) and os.path.samestat(status, stdout_status)
 
 
 @dataclass(slots=True)
@@ -194,13 +194,13 @@ def staged_file(path: Path) -> Iterator[IO[bytes]]:
             folder = Path(tempfile.gettempdir()) if is_stdout(path) else _made(_real(path).parent)
         with naming(path, folder), uninterrupted():  # note the file, so that it will be removed
             handle, name = tempfile.mkstemp(dir=folder, prefix=f".{path.name[:_PREFIX]}.")
-            made = Path(name)
-            pending.stack.callback(made.unlink, missing_ok=True)
+            temporary = Path(name)
+            pending.stack.callback(temporary.unlink, missing_ok=True)
         os.close(handle)
-        with naming(path, made), made.open("wb") as file:
+        with naming(path, temporary), temporary.open("wb") as file:
             yield file
-        _grant(made, path)
-        pending.moves.append(_Move(made, _real(path), path))
+        _grant(temporary, path)
+        pending.moves.append(_Move(temporary, _real(path), path))
 
 
 @contextmanager
@@ -214,14 +214,14 @@ def staging_folder(folder: Path) -> Iterator[Path]:
     """
     with together():
         pending = _pending()
-        real = _real(folder)
-        with naming(folder, real), uninterrupted():  # note made folders, so that they are removed
-            home = _made(real, requested=True)
+        real_folder = _real(folder)
+        with naming(folder, real_folder), uninterrupted():  # note made folders, to remove them
+            home = _made(real_folder, requested=True)
             temporary = tempfile.TemporaryDirectory(dir=home, prefix=".threadline-")
-            made = Path(pending.stack.enter_context(temporary))
-        with naming(folder, made):
-            yield made
-        for file in sorted(made.iterdir()):
+            temporary_path = Path(pending.stack.enter_context(temporary))
+        with naming(folder, temporary_path):
+            yield temporary_path
+        for file in sorted(temporary_path.iterdir()):
             check_output(folder / file.name)
             pending.moves.append(_Move(file, _real(folder / file.name), folder / file.name))
 
@@ -257,12 +257,12 @@ def _made(folder: Path, *, requested: bool = False) -> Path:
         Whether the user named this folder itself, and not a file in it.
     """
     missing = [p for p in (folder, *folder.parents) if not os.path.lexists(p)]
-    for each in reversed(missing):
+    for missing_folder in reversed(missing):
         with uninterrupted():
-            each.mkdir()
-            _pending().folders.append(each)
-            if not requested or each != folder:
-                _pending().unrequested.append(each)
+            missing_folder.mkdir()
+            _pending().folders.append(missing_folder)
+            if not requested or missing_folder != folder:
+                _pending().unrequested.append(missing_folder)
     return folder
 
 
@@ -278,7 +278,7 @@ def _unmake(pending: _Together) -> None:
             folder.rmdir()
 
 
-def _grant(made: Path, path: Path) -> None:
+def _grant(temporary: Path, path: Path) -> None:
     """Give a new file the usual permissions, or the permissions of the file that it replaces."""
     try:
         mode = stat.S_IMODE(path.stat().st_mode)
@@ -286,7 +286,7 @@ def _grant(made: Path, path: Path) -> None:
         mask = os.umask(0)
         os.umask(mask)
         mode = 0o666 & ~mask
-    made.chmod(mode)
+    temporary.chmod(mode)
 
 
 def _commit(pending: _Together) -> None:
@@ -296,10 +296,11 @@ def _commit(pending: _Together) -> None:
     places: dict[Path, Path] = {}
     for move in pending.moves:
         check_output(move.requested)  # again: files may have been read or folders made since then
-        other = places.setdefault(move.place, move.requested)
+        other_request = places.setdefault(move.place, move.requested)
         if move.made is not None and places[move.place] is not move.requested:
             raise OptionError(
-                f"{str(move.requested)!r} is written twice, as {str(other)!r} too", remedy=_REMEDY
+                f"{str(move.requested)!r} is written twice, as {str(other_request)!r} too",
+                remedy=_REMEDY,
             )
         if move.made is not None and is_stdout(move.requested):
             to_stdout.append(move.made)
@@ -308,8 +309,8 @@ def _commit(pending: _Together) -> None:
             if move.made in to_stdout or (move.made is None and not move.place.exists()):
                 continue
             with naming(move.requested, move.made or move.place):
-                kept = _kept(move, pending.stack)
-                undo.append((move.place, kept))
+                backup = _kept(move, pending.stack)
+                undo.append((move.place, backup))
                 if move.made is None:
                     move.place.unlink()
                 else:
@@ -319,9 +320,9 @@ def _commit(pending: _Together) -> None:
                 shutil.copyfileobj(file, sys.stdout.buffer)
             sys.stdout.flush()
     except BaseException:
-        for place, kept in reversed(undo):
+        for place, backup in reversed(undo):
             with suppress(OSError):
-                place.unlink(missing_ok=True) if kept is None else kept.replace(place)
+                place.unlink(missing_ok=True) if backup is None else backup.replace(place)
         raise
 
 
@@ -332,12 +333,12 @@ def _kept(move: _Move, stack: ExitStack) -> Path | None:
     folder = tempfile.TemporaryDirectory(
         dir=move.place.parent, prefix=f".{move.place.name[:_PREFIX]}."
     )
-    kept = Path(stack.enter_context(folder)) / "old"
+    backup = Path(stack.enter_context(folder)) / "old"
     try:
-        os.link(move.place, kept)
+        os.link(move.place, backup)
     except OSError:  # a file system without links
-        shutil.copy2(move.place, kept)
-    return kept
+        shutil.copy2(move.place, backup)
+    return backup
 
 
 @contextmanager
@@ -346,18 +347,18 @@ def uninterrupted() -> Iterator[None]:
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    came: list[tuple[int, FrameType | None]] = []
-    before = {
-        number: signal.signal(number, lambda *arguments: came.append(arguments))
+    received: list[tuple[int, FrameType | None]] = []
+    handlers = {
+        number: signal.signal(number, lambda *arguments: received.append(arguments))
         for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
         if callable(signal.getsignal(number))
     }
     try:
         yield
     finally:
-        for number, handler in before.items():
+        for number, handler in handlers.items():
             signal.signal(number, handler)
-        for arguments in came[:1]:
-            handler = before[signal.Signals(arguments[0])]
+        for arguments in received[:1]:
+            handler = handlers[signal.Signals(arguments[0])]
             if callable(handler):
                 handler(*arguments)

@@ -259,36 +259,36 @@ class SwitchSchedule(Locked):
 
     def creeps_by_row(self) -> dict[int, list[Creep]]:
         """Return the creeps by the row that is in effect during their waits."""
-        found: dict[int, list[Creep]] = {}
+        creeps: dict[int, list[Creep]] = {}
         rows = np.searchsorted(self.ticks, [creep.tick for creep in self.creeps], side="right")
         for row, creep in zip(rows.tolist(), self.creeps, strict=True):
-            found.setdefault(row - 1, []).append(creep)
-        return found
+            creeps.setdefault(row - 1, []).append(creep)
+        return creeps
 
 
 Commands = TickTable | SwitchSchedule | StepPlay
 KindT = TypeVar("KindT", bound=TickTable | SwitchSchedule | StepPlay)
 
 
-def _of_kind(commands: Commands, kind: type[KindT], lacking: str, remedy: str) -> KindT:
+def _of_kind(commands: Commands, kind: type[KindT], requirement: str, remedy: str) -> KindT:
     if not isinstance(commands, kind):
-        raise OptionError(f"this needs {lacking}", remedy=remedy)
+        raise OptionError(f"this needs {requirement}", remedy=remedy)
     return commands
 
 
 def tick_table(commands: Commands) -> TickTable:
     """Return ``commands`` as a tick table; raise an ``OptionError`` for another kind."""
-    lacking = "a table of counts, which an on/off machine does not have"
-    return _of_kind(commands, TickTable, lacking, "Choose a machine with axes.")
+    requirement = "a table of counts, which an on/off machine does not have"
+    return _of_kind(commands, TickTable, requirement, "Choose a machine with axes.")
 
 
 def switch_schedule(commands: Commands) -> SwitchSchedule:
     """Return ``commands`` as a switch schedule; raise an ``OptionError`` for another kind."""
-    lacking = "a schedule of switchings, which a machine with axes does not have"
-    return _of_kind(commands, SwitchSchedule, lacking, "Choose a machine with cylinders.")
+    requirement = "a schedule of switchings, which a machine with axes does not have"
+    return _of_kind(commands, SwitchSchedule, requirement, "Choose a machine with cylinders.")
 
 
 def played(commands: Commands) -> StepPlay:
     """Return ``commands`` as step tables by stitch; raise an ``OptionError`` for another kind."""
-    lacking = "step tables, which only a machine with a main shaft plays"
-    return _of_kind(commands, StepPlay, lacking, "Choose an embroidery machine.")
+    requirement = "step tables, which only a machine with a main shaft plays"
+    return _of_kind(commands, StepPlay, requirement, "Choose an embroidery machine.")

@@ -68,24 +68,24 @@ class Outcome:
 
     def after(self, events: Iterable[Event]) -> Outcome:
         """Return the outcome after further events, which are given in order."""
-        known = self
+        outcome = self
         for event in events:
             if event.kind in tuple(RunEnd):
-                known = replace(
-                    known,
+                outcome = replace(
+                    outcome,
                     ended=RunEnd(event.kind),
                     text=event.name,
                     tick=event.tick,
                     operation=event.operation,
                 )
             elif event.kind == "late":
-                known = replace(known, late_ticks=known.late_ticks + int(event.value))
-            elif event.kind in {"stop", "wait", "hold"} and known.halted_since is None:
-                known = replace(known, halted_since=event.tick)
-            elif event.kind == "resume" and known.halted_since is not None:
-                halted = known.halted_ticks + event.tick - known.halted_since
-                known = replace(known, halted_ticks=halted, halted_since=None)
-        return known
+                outcome = replace(outcome, late_ticks=outcome.late_ticks + int(event.value))
+            elif event.kind in {"stop", "wait", "hold"} and outcome.halted_since is None:
+                outcome = replace(outcome, halted_since=event.tick)
+            elif event.kind == "resume" and outcome.halted_since is not None:
+                halted = outcome.halted_ticks + event.tick - outcome.halted_since
+                outcome = replace(outcome, halted_ticks=halted, halted_since=None)
+        return outcome
 
 
 def end_with_reason(ended: str, why: str) -> str:
@@ -206,14 +206,14 @@ class Recording:
 
     def __repr__(self) -> str:
         kind = "simulated" if self.simulated else "live"
-        return f"<Recording, {kind}: {', '.join(one.name for one in self.channels)}>"
+        return f"<Recording, {kind}: {', '.join(channel.name for channel in self.channels)}>"
 
     def __post_init__(self) -> None:
-        first = {(c.kind, c.axis): c for c in reversed(self.channels)}
+        by_kind = {(c.kind, c.axis): c for c in reversed(self.channels)}
         # Prefer the sampled current ``X.current``, even if ``X.current_peak`` comes first.
-        plain = (c for c in self.channels if c.name == f"{c.axis}.{c.kind.value}")
-        first |= {(c.kind, c.axis): c for c in plain}
-        object.__setattr__(self, "_by_kind", first)
+        plainly_named = (c for c in self.channels if c.name == f"{c.axis}.{c.kind.value}")
+        by_kind |= {(c.kind, c.axis): c for c in plainly_named}
+        object.__setattr__(self, "_by_kind", by_kind)
 
     def __iter__(self) -> Iterator[RecordingBlock]:
         """Yield the blocks; with several runs, samples have a column for each run.
@@ -262,8 +262,8 @@ class Recording:
         for channel in self.channels:
             if channel.name == name:
                 return channel
-        known = ", ".join(c.name for c in self.channels)
-        raise RecordingError(f"no channel {name!r}", remedy=f"It has {known}.")
+        known_names = ", ".join(c.name for c in self.channels)
+        raise RecordingError(f"no channel {name!r}", remedy=f"It has {known_names}.")
 
     def run(self, number: int) -> Recording:
         """Return one of several runs, counted from 1, as a recording."""
@@ -277,10 +277,10 @@ class Recording:
 
     def outcome(self) -> Outcome:
         """Return the outcome of the run; reads every block."""
-        known = Outcome()
+        outcome = Outcome()
         for block in self:
-            known = known.after(block.events)
-        return known
+            outcome = outcome.after(block.events)
+        return outcome
 
     def samples(self, name: str) -> tuple[FloatArray, FloatArray]:
         """Return times in s and values of a whole channel, both (n,); for short recordings."""
@@ -297,10 +297,10 @@ class Recording:
         values: dict[str, list[FloatArray]] = {name: [] for name in channels}
         for block in self:
             for name, channel in channels.items():
-                part = block.samples[name]
+                block_values = block.samples[name]
                 first = block.first_tick[channel.clock.name]
-                times[name].append(channel.clock.times_s(first, len(part), channel.stride))
-                values[name].append(part)
+                times[name].append(channel.clock.times_s(first, len(block_values), channel.stride))
+                values[name].append(block_values)
         return {
             name: (np.concatenate(times[name]), np.concatenate(values[name]))
             if times[name]
@@ -315,15 +315,17 @@ def columns_of(recording: Recording) -> dict[str, FloatArray]:
     Keys are ``time [s]``, then the name of each channel with its unit: ``X.load [m]``. A channel
     with fewer samples holds each sample until its next one, and is NaN before its first sample.
     """
-    found = recording.samples_of(channel.name for channel in recording.channels)
-    times_s = max((times for times, _ in found.values()), key=len, default=np.empty(0))
+    samples = recording.samples_of(channel.name for channel in recording.channels)
+    times_s = max((times for times, _ in samples.values()), key=len, default=np.empty(0))
     columns = {"time [s]": times_s}
     for channel in recording.channels:
-        own_s, values = found[channel.name]
-        if len(own_s) != len(times_s) or not np.array_equal(own_s, times_s):
-            at = np.searchsorted(own_s, times_s, side="right") - 1
-            held = values[np.maximum(at, 0)] if len(values) else np.zeros(len(times_s))
-            values = np.where(at >= 0, held, np.nan)
+        channel_times_s, values = samples[channel.name]
+        if len(channel_times_s) != len(times_s) or not np.array_equal(channel_times_s, times_s):
+            sample_index = np.searchsorted(channel_times_s, times_s, side="right") - 1
+            held_values = (
+                values[np.maximum(sample_index, 0)] if len(values) else np.zeros(len(times_s))
+            )
+            values = np.where(sample_index >= 0, held_values, np.nan)
         columns[f"{channel.name} [{channel.unit}]" if channel.unit else channel.name] = values
     return columns
 

@@ -47,8 +47,8 @@ class Stream(Generic[T]):
     def __init__(
         self, function: Callable[P, Iterator[T]], *arguments: P.args, **keywords: P.kwargs
     ) -> None:
-        for what in (function, *arguments, *keywords.values()):
-            _check_travels(what)
+        for part in (function, *arguments, *keywords.values()):
+            _check_travels(part)
         self._function = function
         self._arguments = arguments
         self._keywords = keywords
@@ -104,26 +104,28 @@ class KeptStream(Stream[SizedT]):
         self._begin()
 
     def _reading(self) -> Iterator[SizedT]:
-        items, taken = self._items, 0
-        rest: Iterator[SizedT] | None = None
-        while rest is None:
-            while taken < len(items):
-                yield items[taken]
-                taken += 1
+        items, yielded_count = self._items, 0
+        remaining: Iterator[SizedT] | None = None
+        while remaining is None:
+            while yielded_count < len(items):
+                yield items[yielded_count]
+                yielded_count += 1
             with self._lock:
-                if taken < len(items):
+                if yielded_count < len(items):
                     continue
                 if self._ended:
                     return
-                rest = self._extend() if self._rows <= self.MOST_KEPT else self._behind(taken)
-        yield from rest
+                remaining = (
+                    self._extend() if self._rows <= self.MOST_KEPT else self._behind(yielded_count)
+                )
+        yield from remaining
 
     @staticmethod
     def _rows_of(item: SizedT) -> int:
         return len(item)
 
-    def _behind(self, taken: int) -> Iterator[SizedT]:
-        return islice(super().__iter__(), taken, None)
+    def _behind(self, yielded_count: int) -> Iterator[SizedT]:
+        return islice(super().__iter__(), yielded_count, None)
 
     def _extend(self) -> Iterator[SizedT] | None:
         """Compute the next item; if there are too many to keep, return it and all further items."""
@@ -131,14 +133,14 @@ class KeptStream(Stream[SizedT]):
         rows = self._rows
         self._source, self._rows = None, self.MOST_KEPT + 1  # in case it raises
         item = next(source, None)
-        more = 0 if item is None else self._rows_of(item)
-        if item is not None and rows + more > self.MOST_KEPT:
+        item_rows = 0 if item is None else self._rows_of(item)
+        if item is not None and rows + item_rows > self.MOST_KEPT:
             self._items = []  # readers hold their own reference to the old list
             return chain((item,), source)
         self._ended = item is None
         if item is not None:
             self._items.append(item)
-            self._source, self._rows = source, rows + more
+            self._source, self._rows = source, rows + item_rows
         return None
 
 
@@ -146,23 +148,23 @@ def _iterate(items: tuple[T, ...]) -> Iterator[T]:
     return iter(items)
 
 
-def _check_travels(what: object) -> None:
+def _check_travels(value: object) -> None:
     """Refuse an object that another process could not unpickle."""
-    if isinstance(what, partial):
-        for part in (what.func, *what.args, *what.keywords.values()):
+    if isinstance(value, partial):
+        for part in (value.func, *value.args, *value.keywords.values()):
             _check_travels(part)
-    if isinstance(what, MethodType):
-        _check_travels(what.__self__)
-        what = what.__func__
-    named = what if isinstance(what, FunctionType | type) else type(what)
-    if "<" in named.__qualname__:
+    if isinstance(value, MethodType):
+        _check_travels(value.__self__)
+        value = value.__func__
+    named_type = value if isinstance(value, FunctionType | type) else type(value)
+    if "<" in named_type.__qualname__:
         raise TypeError(
-            f"a stream cannot use {named.__qualname__}: another process would not find it. "
+            f"a stream cannot use {named_type.__qualname__}: another process would not find it. "
             "Define it at the top level of its module and pass the values that it needs: "
             "Stream(function, *arguments)."
         )
-    if isinstance(what, Iterator):
+    if isinstance(value, Iterator):
         raise TypeError(
-            f"a stream cannot use a {named.__qualname__}, which can be read only once. "
+            f"a stream cannot use a {named_type.__qualname__}, which can be read only once. "
             "Pass the source of the iterator."
         )

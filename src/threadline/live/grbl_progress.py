@@ -36,8 +36,8 @@ class Way:
         self._ends, self._starts = program.ends * self._radius, starts * self._radius
 
     def _begin(self, line: int) -> FloatArray:
-        begin: FloatArray = self._ends[line - 1] if line else self._starts
-        return begin
+        begin_m: FloatArray = self._ends[line - 1] if line else self._starts
+        return begin_m
 
     def end_away_m(self, at: FloatArray) -> float:
         """Return the distance of a position from the end of the last line, m."""
@@ -65,28 +65,32 @@ class Way:
             return before_s
         return before_s + self._share(executed, at) * float(self._durations_s[executed])
 
-    def _share(self, line: int, at: FloatArray) -> float:
+    def _share(self, line: int, position: FloatArray) -> float:
         """Return the share of a line before the point of it that is nearest to a position."""
-        begin = self._begin(line)
-        way = self._ends[line] - begin
-        long = float(way @ way)
-        place = at * self._radius
-        return 0.0 if long == 0.0 else float(np.clip((place - begin) @ way / long, 0.0, 1.0))
+        begin_m = self._begin(line)
+        line_vector_m = self._ends[line] - begin_m
+        length2_m2 = float(line_vector_m @ line_vector_m)
+        position_m = position * self._radius
+        return (
+            0.0
+            if length2_m2 == 0.0
+            else float(np.clip((position_m - begin_m) @ line_vector_m / length2_m2, 0.0, 1.0))
+        )
 
     def passed(self, lines: range, at: FloatArray) -> tuple[int | None, float]:
         """Return the number of lines that a position has passed, and its distance from them, m.
 
         The number is None if the position is on none of ``lines``.
         """
-        nearest = np.inf
+        nearest_m = np.inf
         for k in lines:
-            begin, share = self._begin(k), self._share(k, at)
-            way = self._ends[k] - begin
-            off = float(np.linalg.norm(begin + share * way - at * self._radius))
-            nearest = min(nearest, off)
-            if off <= _AT_END_M and way.any():
-                return k + (share == 1.0), off
-        return None, nearest
+            begin_m, share = self._begin(k), self._share(k, at)
+            line_vector_m = self._ends[k] - begin_m
+            distance_m = float(np.linalg.norm(begin_m + share * line_vector_m - at * self._radius))
+            nearest_m = min(nearest_m, distance_m)
+            if distance_m <= _AT_END_M and line_vector_m.any():
+                return k + (share == 1.0), distance_m
+        return None, nearest_m
 
 
 def refuse_program(
@@ -105,11 +109,11 @@ def refuse_program(
         If the program does so; the message says which of these it is.
     """
     machine = controller.machine
-    away = np.abs(at - starts) * machine.radius_m
-    if away.max() > OFF_PATH_M:
-        k = int(away.argmax())
+    distances_m = np.abs(at - starts) * machine.radius_m
+    if distances_m.max() > OFF_PATH_M:
+        k = int(distances_m.argmax())
         name = machine.axis_names[k]
-        here, there = (place_words(machine, name, float(place[k])) for place in (at, starts))
+        here, there = (place_words(machine, name, float(position[k])) for position in (at, starts))
         raise CommandError(
             f"axis {name} stands at {here}, the run begins at {there}",
             remedy="Move it there first (run --approach, or Approach of the panel).",
@@ -148,8 +152,11 @@ def way_passed(
     tuple
         (n,) shares of the motion at which another line began, and (n + 1,) operations.
     """
-    was, now = executed
-    ways = np.vstack([places[0], *program.ends[was:now], places[1]]) * machine.radius_m
-    gone = np.cumsum(np.linalg.norm(np.diff(ways, axis=0), axis=1))
-    lines = np.minimum(np.arange(was, now + 1), len(program.operations) - 1)
-    return gone[:-1] / max(gone[-1], 1e-12), program.operations[lines]
+    executed_before, executed_after = executed
+    points_m = (
+        np.vstack([places[0], *program.ends[executed_before:executed_after], places[1]])
+        * machine.radius_m
+    )
+    travelled_m = np.cumsum(np.linalg.norm(np.diff(points_m, axis=0), axis=1))
+    lines = np.minimum(np.arange(executed_before, executed_after + 1), len(program.operations) - 1)
+    return travelled_m[:-1] / max(travelled_m[-1], 1e-12), program.operations[lines]

@@ -142,8 +142,8 @@ class GrblRun:
             raise
         self._heard_s = clock_s()
         self._trace.begin(self._at)
-        found = self.controller.has_switches
-        self._go(Cause.HOMED, "" if found else "no homing switches: reported positions are used")
+        switches = self.controller.has_switches
+        self._go(Cause.HOMED, "" if switches else "no homing switches: reported positions are used")
 
     def _stopped(self) -> bool:
         """Process commands while it homes; return whether one was a stop."""
@@ -208,26 +208,26 @@ class GrblRun:
         so it is told to hold, and is reset once it stands.
         """
         now_s = clock_s()
-        away_s, self._looked_s = now_s - self._looked_s, now_s
-        if away_s <= SILENCE_S or self.over:
+        suspended_s, self._looked_s = now_s - self._looked_s, now_s
+        if suspended_s <= SILENCE_S or self.over:
             return
         self._port.forget_reports()
         self._heard_s = now_s
         if self._settled_s is None and self.state in MOVING:
             self._fault(
-                f"this program did not run for {away_s:.1f} s: the computer slept, or it was "
+                f"this program did not run for {suspended_s:.1f} s: the computer slept, or it was "
                 "stopped; the controller was told to hold"
             )
 
-    def _wait(self, most_s: float) -> None:
+    def _wait(self, longest_s: float) -> None:
         """Request the position if that is due, and wait until there is something to do."""
-        now = clock_s()
-        if now - self._asked_s >= POLL_S:
-            self._ask(now)
+        now_s = clock_s()
+        if now_s - self._asked_s >= POLL_S:
+            self._ask(now_s)
         if not self._port.waiting and not self._port.lost:
             wait_s = max(self._asked_s + POLL_S - clock_s(), 0.0)
-            waited = [self._desk.fileno(), self._port.fileno()]
-            ready, _, _ = select.select(waited, [], [], min(wait_s, most_s))
+            descriptors = [self._desk.fileno(), self._port.fileno()]
+            ready, _, _ = select.select(descriptors, [], [], min(wait_s, longest_s))
             if self._desk.fileno() in ready:
                 self._desk.woken()
 
@@ -275,11 +275,11 @@ class GrblRun:
 
     def _listen(self) -> None:
         """Act on the controller's messages, or on its silence."""
-        until = clock_s() + _LISTENS_S
+        until_s = clock_s() + _LISTENS_S
         try:
             while not self.over and (line := self._port.receive(0.0)) is not None:
                 self._hear(line)
-                if clock_s() >= until:
+                if clock_s() >= until_s:
                     break
         except LinkFaultError as error:
             self._fault(error.message)
@@ -304,37 +304,37 @@ class GrblRun:
     def _brake(self) -> None:
         """Hold the feed. Once the machine stands, or fails to, a reset drops all other lines."""
         self._braking = True
-        most_s = 2.0 * self.controller.brakes_s + _HOLDS_S
-        self._brakes_until_s = min(self._brakes_until_s, clock_s() + most_s)
+        timeout_s = 2.0 * self.controller.brakes_s + _HOLDS_S
+        self._brakes_until_s = min(self._brakes_until_s, clock_s() + timeout_s)
         self._port.send(HOLD)
 
     def _feed(self) -> None:
         """Send as many lines as the controller has room for."""
-        sent = self.acknowledged + self._count.open
-        while self.state is State.RUNNING and sent < len(self._program.lines):
+        sent_count = self.acknowledged + self._count.open
+        while self.state is State.RUNNING and sent_count < len(self._program.lines):
             if clock_s() - self._looked_s > SILENCE_S:
                 return  # this program was suspended, which ends the run first
-            line = self._program.lines[sent]
+            line = self._program.lines[sent_count]
             if not self._count.fits(line):
                 return
             self._port.send(line)
             self._count.sent(line)
-            sent += 1
+            sent_count += 1
 
     def _hear(self, line: str) -> None:
-        found = status_of(line)
-        if found is not None:
-            self._report(found)
+        status = status_of(line)
+        if status is not None:
+            self._report(status)
         elif line == "ok":
             self._count.answered()
             self.acknowledged += 1
             self._feed()
         elif line.startswith("error"):
-            at = self.acknowledged
-            text = self._program.lines[at] if at < len(self._program.lines) else b""
+            index = self.acknowledged
+            refused = self._program.lines[index] if index < len(self._program.lines) else b""
             self._count.answered()
             self.acknowledged += 1
-            self._fault(f"the controller refused {text.decode().strip()!r}: {in_words(line)}")
+            self._fault(f"the controller refused {refused.decode().strip()!r}: {in_words(line)}")
         elif line.startswith("ALARM"):
             self._fault(f"the controller is in alarm: {in_words(line)}")
         elif line.lower().startswith("grbl"):
@@ -342,39 +342,41 @@ class GrblRun:
             if not (self._braking and self._settled_s):
                 self._fault("the controller was reset")
 
-    def _report(self, found: Status) -> None:
-        was_at, was = self._at, self.executed
-        self._at = self.controller.position(found)
+    def _report(self, status: Status) -> None:
+        last_position, last_executed = self._at, self.executed
+        self._at = self.controller.position(status)
         self._heard_s = clock_s()
         if self._settled_s is None:
             self._pass_lines()
-        passed = way_passed(self._program, self._machine, (was_at, self._at), (was, self.executed))
-        self._trace.record(self._heard_s - self._begun_s, self._at, *passed)
+        line_changes = way_passed(
+            self._program, self._machine, (last_position, self._at), (last_executed, self.executed)
+        )
+        self._trace.record(self._heard_s - self._begun_s, self._at, *line_changes)
         if self._settled_s is not None:
             self.over = self._heard_s >= self._settled_s
             if self.over and self.state in (State.STOPPING, State.RUNNING):
                 self._go(Cause.AT_REST if self.state is State.STOPPING else Cause.COMPLETED)
             return
-        self._overrides.take(found)
-        if found.overrides is not None or self._overrides.waited_s(self._heard_s) > OBEYS_S:
+        self._overrides.take(status)
+        if status.overrides is not None or self._overrides.waited_s(self._heard_s) > OBEYS_S:
             self._override_on()
         if self._overrides.to_note:
             self._note_overrides()
-        if found.state != "Idle":
+        if status.state != "Idle":
             self._stood_s = np.inf
         if name := self.controller.beyond(self._at):
             self._fault(f"axis {name} is beyond its travel")
-        if self._braking and found.stands:
+        if self._braking and status.stands:
             self._port.send(RESET)
             self._end()
-        elif found.state == "Alarm" and not self._braking:
+        elif status.state == "Alarm" and not self._braking:
             self._fault("the controller is in alarm")
         elif self._heard_s > self._brakes_until_s:
-            self._fault(f"the controller was told to hold, reports {found.state}, and was reset")
+            self._fault(f"the controller was told to hold, reports {status.state}, and was reset")
             self._port.send(RESET)
             self._end()
         elif not self._braking:
-            self._follow(found)
+            self._follow(status)
 
     def _note_overrides(self) -> None:
         """Write the overrides, set at the controller itself, into recording and log."""
@@ -386,43 +388,43 @@ class GrblRun:
     @property
     def _operation(self) -> int:
         """Operation of the job that is executed; -1 if unknown."""
-        of = self._program.operations
-        return int(of[min(self.executed, len(of) - 1)]) if len(of) else -1
+        operations = self._program.operations
+        return int(operations[min(self.executed, len(operations) - 1)]) if len(operations) else -1
 
-    def _follow(self, found: Status) -> None:
+    def _follow(self, status: Status) -> None:
         """Follow the controller's own changes: hold, resume, or end if it cannot go on."""
-        fresh = self._heard_s - self._command_s > OBEYS_S  # else the report may predate the command
-        if found.state in PAUSES:
-            door, k = found.state == "Door", self.acknowledged
-            self._unready = found.words if door and found.detail in (1, 2) else ""
+        is_fresh = self._heard_s - self._command_s > OBEYS_S  # else it may predate the command
+        if status.state in PAUSES:
+            door, next_line = status.state == "Door", self.acknowledged
+            self._unready = status.words if door and status.detail in (1, 2) else ""
             if (
                 self._pass_stops
                 and not door
-                and k != self._passed
-                and self._way.stands_at_stop(k, self._at)
+                and next_line != self._passed
+                and self._way.stands_at_stop(next_line, self._at)
             ):
-                self._passed = k
+                self._passed = next_line
                 self._port.send(RESUME)
                 self._command_s = clock_s()
                 return
-            if self.state is State.RUNNING and fresh and not (door and found.detail == 3):
-                self._go(Cause.HOLD, found.words)
-                self._last_state_words = found.words
+            if self.state is State.RUNNING and is_fresh and not (door and status.detail == 3):
+                self._go(Cause.HOLD, status.words)
+                self._last_state_words = status.words
             elif (
                 self.state is State.HOLDING
                 and (door or self._last_state_words)
-                and found.words != self._last_state_words
+                and status.words != self._last_state_words
             ):
-                self._last_state_words = self.why = found.words
-                self._sink.state(self._trace.tick, self.state, Cause.HOLD, found.words)
+                self._last_state_words = self.why = status.words
+                self._sink.state(self._trace.tick, self.state, Cause.HOLD, status.words)
             return
         self._unready = ""
-        if found.state not in {"Idle", "Run"}:
-            self._fault(found.words)
-        elif self.state is State.HOLDING and fresh:  # by its own button, or at its end
+        if status.state not in {"Idle", "Run"}:
+            self._fault(status.words)
+        elif self.state is State.HOLDING and is_fresh:  # by its own button, or at its end
             self._go(Cause.RESUME, "the controller goes on by itself")
             self._feed()
-        elif self.state is State.RUNNING and found.state == "Idle":
+        elif self.state is State.RUNNING and status.state == "Idle":
             if self._all_answered:
                 self._stand_at_end()
             else:
@@ -431,9 +433,9 @@ class GrblRun:
     def _stand_unanswered(self) -> None:
         """Accept a standing controller with open lines for as long as these lines may wait."""
         self._stood_s = min(self._stood_s, self._heard_s)
-        sent = slice(self.acknowledged, self.acknowledged + self._count.open)
-        most_s = ANSWERS_S + float(self._program.durations_s[sent].sum())
-        if self._heard_s - self._stood_s > most_s:
+        open_lines = slice(self.acknowledged, self.acknowledged + self._count.open)
+        timeout_s = ANSWERS_S + float(self._program.durations_s[open_lines].sum())
+        if self._heard_s - self._stood_s > timeout_s:
             self._fault(f"the controller stands, and has not answered {self._count.open} lines")
 
     def _stand_at_end(self) -> None:
@@ -441,8 +443,8 @@ class GrblRun:
 
         A report from before the last line began may show it elsewhere for a moment.
         """
-        away_m = self._way.end_away_m(self._at)
-        if away_m <= OFF_PATH_M:
+        distance_m = self._way.end_away_m(self._at)
+        if distance_m <= OFF_PATH_M:
             self.executed = self.acknowledged
             self.ended = (RunEnd.COMPLETED, "")
             self._end()
@@ -450,8 +452,8 @@ class GrblRun:
         self._stood_s = min(self._stood_s, self._heard_s)
         if self._heard_s - self._stood_s > _STANDS_S:
             self._fault(
-                f"the controller has received every line, and stands {1e3 * away_m:.3g} mm from "
-                "the end of the last"
+                f"the controller has received every line, and stands {1e3 * distance_m:.3g} mm "
+                "from the end of the last"
             )
 
     def _pass_lines(self) -> None:
@@ -480,10 +482,10 @@ class GrblRun:
 
     def _lost(self, text: str) -> None:
         """Note that nothing can be sent any more: the controller executes its buffer."""
-        left = int(self._count.open)
-        before = [] if self.ended is None else [self.ended[1]]
-        left_over = f"the controller executes by itself {left} lines and its planner's blocks"
-        self.ended = (RunEnd.FAULT, "; ".join([*filter(None, before), text, left_over]))
+        open_count = int(self._count.open)
+        earlier_texts = [] if self.ended is None else [self.ended[1]]
+        buffered = f"the controller executes by itself {open_count} lines and its planner's blocks"
+        self.ended = (RunEnd.FAULT, "; ".join([*filter(None, earlier_texts), text, buffered]))
         self._trace.end(*self.ended)
         self._go(Cause.FAULT, text)
         self.over = True

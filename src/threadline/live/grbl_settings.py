@@ -103,8 +103,8 @@ def texts_of(lines: Iterable[str]) -> dict[int, str]:
     >>> texts_of(["$10=1", "$110=5000.000 (x max rate, mm/min)", "ok"])
     {10: '1', 110: '5000.000'}
     """
-    found = (_LINE.match(line) for line in lines)
-    return {int(form[1]): form[2] for form in found if form is not None}
+    matches = (_LINE.match(line) for line in lines)
+    return {int(match[1]): match[2] for match in matches if match is not None}
 
 
 def number_of(text: str) -> float:
@@ -132,23 +132,23 @@ def wanted_of(machine: Machine, letters: Sequence[str]) -> dict[int, float]:
     letters
         Axes of the controller, in the order of its reports.
     """
-    found: dict[int, float] = {INCHES: 0.0}
+    values: dict[int, float] = {INCHES: 0.0}
     units = units_of(machine)
     per_unit = machine.counts_per_unit * units
-    fastest = 60.0 * machine.velocity_limit / units
-    quickest = machine.acceleration_limit / units
+    max_rates = 60.0 * machine.velocity_limit / units
+    max_accelerations = machine.acceleration_limit / units
     for k, (name, axis) in enumerate(machine.axes.items()):
         if name not in letters:
             continue
-        at = list(letters).index(name)
-        found[STEPS + at] = float(per_unit[k])
-        found[RATE + at] = float(fastest[k])
-        found[ACCELERATION + at] = float(quickest[k])
+        index = list(letters).index(name)
+        values[STEPS + index] = float(per_unit[k])
+        values[RATE + index] = float(max_rates[k])
+        values[ACCELERATION + index] = float(max_accelerations[k])
         if axis.travel is not None:
-            found[TRAVEL + at] = float((axis.travel[1].si - axis.travel[0].si) / units[k])
+            values[TRAVEL + index] = float((axis.travel[1].si - axis.travel[0].si) / units[k])
     if isinstance(machine.planner, GrblPlanner):
-        found[DEVIATION] = 1e3 * machine.planner.junction_deviation.si
-    return found
+        values[DEVIATION] = 1e3 * machine.planner.junction_deviation.si
+    return values
 
 
 def compared(
@@ -159,13 +159,13 @@ def compared(
     Settings that a run needs (steps, speed, acceleration) are listed even if the board does not
     report them.
     """
-    wanted = wanted_of(machine, letters)
+    file_values = wanted_of(machine, letters)
     rows = []
-    needed = {number for number in wanted if STEPS <= number < TRAVEL}
+    needed = {number for number in file_values if STEPS <= number < TRAVEL}
     for number in sorted({*texts, *needed}):
         name, unit = _named(number, machine, letters)
         board = texts.get(number, "")
-        right = wanted.get(number)
+        file_value = file_values.get(number)
         rows.append(
             BoardSetting(
                 number,
@@ -173,8 +173,8 @@ def compared(
                 "" if unit in (_MASK, _ON) else unit,
                 board or "not reported",
                 _words(number, unit, board, letters),
-                "" if right is None else f"{right:.6g}",
-                _mark(number, number_of(board), right),
+                "" if file_value is None else f"{file_value:.6g}",
+                _mark(number, number_of(board), file_value),
             )
         )
     return rows
@@ -182,9 +182,9 @@ def compared(
 
 def _named(number: int, machine: Machine, letters: Sequence[str]) -> tuple[str, str]:
     """Return the name and the unit of a setting."""
-    group, at = number - number % 10, number % 10
-    if group in _OF_AXES and at < min(len(letters), _LETTERS_MOST):
-        letter = letters[at]
+    group, index = number - number % 10, number % 10
+    if group in _OF_AXES and index < min(len(letters), _LETTERS_MOST):
+        letter = letters[index]
         name, unit = _OF_AXES[group]
         rotary = letter in machine.axes and machine.axes[letter].kind != "linear"
         return f"{name} of {letter}", unit.format(u="°" if rotary else "mm")
@@ -200,7 +200,7 @@ def _words(number: int, unit: str, board: str, letters: Sequence[str]) -> str:
     if unit == _ON:
         return "yes" if code else "no"
     if unit == _MASK:
-        return ", ".join(a for k, a in enumerate(letters) if code >> k & 1) or "none"
+        return ", ".join(letter for k, letter in enumerate(letters) if code >> k & 1) or "none"
     if number == REPORTS:
         reported = [words for k, words in enumerate(_REPORTED) if code >> k & 1]
         return ", ".join(reported if code & 1 else ["work positions", *reported])
@@ -209,17 +209,17 @@ def _words(number: int, unit: str, board: str, letters: Sequence[str]) -> str:
     return ""
 
 
-def _mark(number: int, board: float, right: float | None) -> Mark:
+def _mark(number: int, board: float, file_value: float | None) -> Mark:
     """Return how a value compares; speeds and accelerations may be lower than the file's."""
     if number == REPORTS:
         return Mark.NONE if np.isfinite(board) and int(board) & 1 else Mark.REFUSED
-    if right is None:
+    if file_value is None:
         return Mark.NONE
-    same = bool(abs(board - right) <= SAME * abs(right))
+    same = bool(abs(board - file_value) <= SAME * abs(file_value))
     if same:
         return Mark.SAME
     if number == INCHES or STEPS <= number < RATE:
         return Mark.REFUSED
     if RATE <= number < TRAVEL:
-        return Mark.LOWER if 0.0 < board < right else Mark.REFUSED
+        return Mark.LOWER if 0.0 < board < file_value else Mark.REFUSED
     return Mark.OTHER

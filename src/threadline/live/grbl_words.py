@@ -132,8 +132,8 @@ class Status:
     @property
     def words(self) -> str:
         """The state in words, for people."""
-        means = _MEANINGS.get(f"{self.state}:{self.detail}", _MEANINGS.get(self.state, ""))
-        return f"the controller tells {self.state}{f': {means}' if means else ''}"
+        meaning = _MEANINGS.get(f"{self.state}:{self.detail}", _MEANINGS.get(self.state, ""))
+        return f"the controller tells {self.state}{f': {meaning}' if meaning else ''}"
 
 
 def in_words(line: str) -> str:
@@ -141,11 +141,11 @@ def in_words(line: str) -> str:
 
     A line without a code of grbl 1.1 is returned as it is.
     """
-    form = _CODE.fullmatch(line.strip())
-    if form is None:
+    match = _CODE.fullmatch(line.strip())
+    if match is None:
         return line
-    means = (_ALARMS if form[1] == "ALARM" else _ERRORS).get(int(form[2]), "")
-    return f"{form[0]}, {means}" if means else line
+    meaning = (_ALARMS if match[1] == "ALARM" else _ERRORS).get(int(match[2]), "")
+    return f"{match[0]}, {meaning}" if meaning else line
 
 
 def status_of(line: str) -> Status | None:
@@ -156,17 +156,17 @@ def status_of(line: str) -> Status | None:
     LinkFaultError
         If a number in a report is invalid.
     """
-    form = _REPORT.fullmatch(line)
-    if form is None:
+    match = _REPORT.fullmatch(line)
+    if match is None:
         return None
-    state, detail, rest = form.groups()
+    state, detail, rest = match.groups()
     fields = dict(part.partition(":")[::2] for part in rest.split("|"))
-    place, offset, overrides = (
+    position, offset, overrides = (
         numbers(fields[name]) if name in fields else None for name in ("MPos", "WCO", "Ov")
     )
     buffer = _BUFFER.fullmatch(fields.get("Bf", ""))
     free = None if buffer is None else (int(buffer[1]), int(buffer[2]))
-    return Status(state, -1 if detail is None else int(detail), place, offset, overrides, free)
+    return Status(state, -1 if detail is None else int(detail), position, offset, overrides, free)
 
 
 def override_bytes(percent: int, current: int) -> bytes:
@@ -180,9 +180,9 @@ def override_bytes(percent: int, current: int) -> bytes:
     """
     if percent == AS_IS:
         return _FEED_AS_IS
-    left = percent - current
-    coarse, fine = divmod(abs(left), _COARSE)
-    up = left > 0
+    change = percent - current
+    coarse, fine = divmod(abs(change), _COARSE)
+    up = change > 0
     return (_COARSER[up] if coarse else b"") + (_FINER[up] if fine else b"")
 
 
@@ -194,8 +194,11 @@ def override_words(overrides: FloatArray) -> str:
     >>> override_words(np.full(3, 100.0))
     'none'
     """
-    each = zip(("feed", "rapids", "spindle"), overrides.tolist(), strict=False)
-    return ", ".join(f"{what} {share:g} %" for what, share in each if share != AS_IS) or "none"
+    named_overrides = zip(("feed", "rapids", "spindle"), overrides.tolist(), strict=False)
+    return (
+        ", ".join(f"{name} {percent:g} %" for name, percent in named_overrides if percent != AS_IS)
+        or "none"
+    )
 
 
 class Overrides:
@@ -258,9 +261,9 @@ class Overrides:
             self._wanted = None
             return b"", ""
         if now_s > self._until_s:
-            wanted, self._wanted = self._wanted, None
+            requested, self._wanted = self._wanted, None
             return b"", (
-                f"the controller was told to override the feed by {wanted} %, and reports "
+                f"the controller was told to override the feed by {requested} %, and reports "
                 f"{self.percent} %"
             )
         self._sent_s = now_s
@@ -270,12 +273,12 @@ class Overrides:
 def numbers(text: str) -> FloatArray:
     """Return the numbers between commas; raise LinkFaultError if one is invalid."""
     try:
-        found = np.array([float(part) for part in text.split(",")])
+        values = np.array([float(part) for part in text.split(",")])
     except ValueError:
-        found = np.array([np.nan])
-    if not np.isfinite(found).all():
+        values = np.array([np.nan])
+    if not np.isfinite(values).all():
         raise LinkFaultError(f"the controller sent {text[:40]!r} instead of numbers")
-    return found
+    return values
 
 
 class CharacterCount:
@@ -347,27 +350,27 @@ def program_of(text: bytes, axes: Sequence[str], scale: FloatArray, start: Float
         If a line has a byte that grbl executes at once, is a command of grbl (``$``), or is longer
         than its receive buffer.
     """
-    lines, ends, durations = [], [], []
-    at, feed = start.copy(), 0.0
+    lines, ends, durations_s = [], [], []
+    position, feed = start.copy(), 0.0
     for number, line in enumerate(text.splitlines(), start=1):
         refuse_realtime(line, number)
         words = _WORD.findall(line.decode("ascii"))
-        then = at.copy()
+        next_position = position.copy()
         for letter, value in words:
             if letter == "F":
                 feed = float(value)
             elif letter in axes:
                 k = axes.index(letter)
-                then[k] = float(value) * scale[k]
-        way = float(np.linalg.norm((then - at) / scale))
-        dwell = sum(float(v) for w, v in words if w == "P")
-        durations.append((60.0 * way / feed if feed else 0.0) + dwell)
+                next_position[k] = float(value) * scale[k]
+        length = float(np.linalg.norm((next_position - position) / scale))
+        dwell_s = sum(float(v) for w, v in words if w == "P")
+        durations_s.append((60.0 * length / feed if feed else 0.0) + dwell_s)
         lines.append(line + b"\n")
-        ends.append(then)
-        at = then
-    none = np.zeros(len(lines), dtype=np.int64)
+        ends.append(next_position)
+        position = next_position
+    zeros = np.zeros(len(lines), dtype=np.int64)
     return Program(
-        tuple(lines), np.array(ends).reshape(-1, len(axes)), np.array(durations), none, none
+        tuple(lines), np.array(ends).reshape(-1, len(axes)), np.array(durations_s), zeros, zeros
     )
 
 
@@ -404,16 +407,16 @@ def runs_out(program: Program, blocks: int, most: int = RX_BYTES) -> tuple[float
     tuple
         Time in s, and path length in m, in which 1 rad of a rotary axis counts as 1 m.
     """
-    ways = np.linalg.norm(np.diff(program.ends, axis=0, prepend=program.ends[:1]), axis=1)
-    longest_s = longest = 0.0
+    lengths_m = np.linalg.norm(np.diff(program.ends, axis=0, prepend=program.ends[:1]), axis=1)
+    longest_s = longest_m = 0.0
     for first in range(len(program.lines)):
         end, room = first + blocks + 1, most
         while end < len(program.lines) and room >= len(program.lines[end]):
             room -= len(program.lines[end])
             end += 1
         longest_s = max(longest_s, float(program.durations_s[first:end].sum()))
-        longest = max(longest, float(ways[first:end].sum()))
-    return longest_s, longest
+        longest_m = max(longest_m, float(lengths_m[first:end].sum()))
+    return longest_s, longest_m
 
 
 def settings_of(lines: Iterable[str]) -> dict[int, float]:
@@ -421,12 +424,12 @@ def settings_of(lines: Iterable[str]) -> dict[int, float]:
 
     Some controllers list texts among their settings, such as their network address.
     """
-    found = {}
+    settings = {}
     for line in lines:
-        form = _SETTING.fullmatch(line)
-        if form is not None:
+        match = _SETTING.fullmatch(line)
+        if match is not None:
             try:
-                found[int(form.group(1))] = float(form.group(2))
+                settings[int(match.group(1))] = float(match.group(2))
             except ValueError:
-                found[int(form.group(1))] = np.nan
-    return found
+                settings[int(match.group(1))] = np.nan
+    return settings

@@ -100,27 +100,31 @@ class Guards:
         answers = {} if machine.takes_positions else answers_of(machine)
         scale = machine.counts_per_unit
         self._tick_s = tick_s
-        cut = {name: one for name, one in machine.inputs.items() if isinstance(one, SupplyCut)}
-        self._cuts = {name: one.axis for name, one in cut.items()}
-        self._switches = tuple(name for name in machine.inputs if name not in cut)
+        supply_cuts = {
+            name: part for name, part in machine.inputs.items() if isinstance(part, SupplyCut)
+        }
+        self._cuts = {name: part.axis for name, part in supply_cuts.items()}
+        self._switches = tuple(name for name in machine.inputs if name not in supply_cuts)
         self._lateness = Lateness()
         self._axes: list[_Axis] = []
         for k, (name, axis) in enumerate(machine.axes.items()):
             if name not in answers:
                 continue
             controller = machine.controllers[axis.controller]
-            ends = (-np.inf, np.inf) if axis.travel is None else tuple(p.si for p in axis.travel)
+            travel_ends = (
+                (-np.inf, np.inf) if axis.travel is None else tuple(p.si for p in axis.travel)
+            )
             self._axes.append(
                 _Axis(
                     name=name,
-                    channels=tuple(f"{name}.{what}" for what in _LOOKED_AT),
+                    channels=tuple(f"{name}.{quantity}" for quantity in _LOOKED_AT),
                     lag_s=answers[name].moments[0],
                     room=FOLLOWING_M
                     / (1.0 if axis.kind == "linear" else float(machine.radius_m[k])),
                     count=1.0 / scale[k],
                     fastest=float(machine.velocity_limit[k]) * tick_s,
-                    low=ends[0] - _TRAVEL_M,
-                    high=ends[1] + _TRAVEL_M,
+                    low=travel_ends[0] - _TRAVEL_M,
+                    high=travel_ends[1] + _TRAVEL_M,
                     reverses_by_zero=controller.dac.zero_on_reversal
                     and controller.clock == machine.tick_clock.name,
                     speeds=np.zeros(int(np.ceil(answers[name].memory_s / tick_s))),
@@ -162,10 +166,10 @@ class Guards:
 
     def _let_coast(self, samples: Mapping[str, FloatArray]) -> None:
         """Let an axis without supply be anywhere within its travel: it follows no command."""
-        for name, coasts in self._cuts.items():
+        for name, coasting_axis in self._cuts.items():
             if name in samples and samples[name].any():
                 for axis in self._axes:
-                    axis.room = np.inf if axis.name == coasts else axis.room
+                    axis.room = np.inf if axis.name == coasting_axis else axis.room
 
     def _in_order(self, axis: _Axis, samples: Mapping[str, FloatArray]) -> bool:
         """Return whether no guard of an axis trips; if none does, update its state.
@@ -190,7 +194,7 @@ class Guards:
         return ""
 
     def _trip_of(self, axis: _Axis, samples: Mapping[str, FloatArray]) -> str:
-        commanded, read = (self._with_last(axis, which, samples) for which in (0, 1))
+        commanded, read = (self._with_last(axis, channel, samples) for channel in (0, 1))
         if len(commanded) < 2 or len(read) < 2:
             return ""
         volts = self._with_last(axis, 2, samples)
@@ -219,15 +223,15 @@ class Guards:
 
     def _following(self, axis: _Axis, commanded: FloatArray, read: FloatArray) -> str:
         speeds = np.concatenate([axis.speeds, np.abs(np.diff(commanded)) / self._tick_s])
-        at, limit, axis.still = _too_far(
+        index, limit, axis.still = _too_far(
             commanded, read, speeds, 2.0 * axis.lag_s, axis.room, 1.5 * axis.count, axis.still
         )
         axis.speeds = speeds[len(speeds) - len(axis.speeds) :]
-        if not at:
+        if not index:
             return ""
-        error = abs(float(commanded[at] - read[at]))
+        error = abs(float(commanded[index] - read[index]))
         unit, to_unit = ("mm", 1e3) if axis.room == FOLLOWING_M else ("deg", 180.0 / np.pi)
-        if abs(float(commanded[at]) - axis.still[1]) > 0.5 * limit:
+        if abs(float(commanded[index]) - axis.still[1]) > 0.5 * limit:
             return (
                 f"the encoder of {axis.name} stands still while the axis should move: encoder, "
                 "cable or drive"
@@ -237,14 +241,16 @@ class Guards:
             f"speed is {limit * to_unit:.3g} {unit}"
         )
 
-    def _with_last(self, axis: _Axis, which: int, samples: Mapping[str, FloatArray]) -> FloatArray:
+    def _with_last(
+        self, axis: _Axis, channel: int, samples: Mapping[str, FloatArray]
+    ) -> FloatArray:
         """Return the samples of a channel from the last one of the previous report on."""
-        found = samples.get(axis.channels[which], _NONE)
-        if not len(found):
-            return found
-        before = found[0] if np.isnan(axis.last[which]) else axis.last[which]
-        axis.last[which] = found[-1]
-        return np.concatenate([[before], found])
+        values = samples.get(axis.channels[channel], _NONE)
+        if not len(values):
+            return values
+        previous = values[0] if np.isnan(axis.last[channel]) else axis.last[channel]
+        axis.last[channel] = values[-1]
+        return np.concatenate([[previous], values])
 
 
 @njit()
@@ -254,7 +260,7 @@ def _too_far(
     speeds: FloatArray,
     per_speed: float,
     room: float,
-    moves: float,
+    least_motion: float,
     still: tuple[float, float],
 ) -> tuple[int, float, tuple[float, float]]:
     """Return the first sample whose following error is too large.
@@ -269,7 +275,7 @@ def _too_far(
         (m + n - 1,) commanded speeds; each of the last n - 1 and the m before it affect a sample.
     per_speed, room
         The limit is the largest of those speeds times ``per_speed``, plus ``room``.
-    moves, still
+    least_motion, still
         Least motion of the encoder that counts, and encoder and command when it last moved.
 
     Returns
@@ -279,7 +285,7 @@ def _too_far(
     """
     memory = len(speeds) - len(commanded) + 1
     for k in range(1, len(commanded)):
-        if max(abs(read[k] - still[0]), abs(read[k - 1] - still[0])) > moves:
+        if max(abs(read[k] - still[0]), abs(read[k - 1] - still[0])) > least_motion:
             still = (read[k], commanded[k])
         error = abs(commanded[k] - read[k])
         if error > room:  # else the speeds need not be read
@@ -298,8 +304,8 @@ def _in_order(
     speeds: FloatArray,
     still: tuple[float, float],
     reverses_by_zero: bool,
-    places: tuple[float, float, float],
-    following: tuple[float, float, float, float],
+    position_limits: tuple[float, float, float],
+    following_limits: tuple[float, float, float, float],
 ) -> tuple[bool, tuple[float, float]]:
     """Return whether no tick trips a guard of an axis, and its ``still`` then.
 
@@ -311,44 +317,46 @@ def _in_order(
         As in ``_Axis``; advanced past the samples if no guard trips, else unchanged.
     still, reverses_by_zero
         As in ``_Axis``.
-    places
+    position_limits
         Largest jump of the encoder in a tick, and the ends of the travel.
-    following
-        Period of the tick, and ``per_speed``, ``room`` and ``moves`` of ``_too_far``.
+    following_limits
+        Period of the tick, and ``per_speed``, ``room`` and ``least_motion`` of ``_too_far``.
     """
     n, memory = len(read), len(speeds)
-    jump, low, high = places
-    before = read[0] if np.isnan(last[1]) else last[1]
+    jump, low, high = position_limits
+    previous = read[0] if np.isnan(last[1]) else last[1]
     for k in range(n):
-        if abs(read[k] - before) > jump or read[k] < low or read[k] > high:
+        if abs(read[k] - previous) > jump or read[k] < low or read[k] > high:
             return False, still
-        before = read[k]
+        previous = read[k]
     if reverses_by_zero and len(volts):
-        before = volts[0] if np.isnan(last[2]) else last[2]
+        previous = volts[0] if np.isnan(last[2]) else last[2]
         for k in range(len(volts)):
-            if volts[k] * before < 0.0:
+            if volts[k] * previous < 0.0:
                 return False, still
-            before = volts[k]
-    tick_s, per_speed, room, moves = following
+            previous = volts[k]
+    tick_s, per_speed, room, least_motion = following_limits
     whole_commanded, whole_read = np.empty(n + 1), np.empty(n + 1)
     whole_commanded[0] = commanded[0] if np.isnan(last[0]) else last[0]
     whole_read[0] = read[0] if np.isnan(last[1]) else last[1]
-    acting = np.empty(memory + n)
+    acting_speeds = np.empty(memory + n)
     # Element by element: an array assignment takes seconds to compile.
     for k in range(memory):
-        acting[k] = speeds[k]
+        acting_speeds[k] = speeds[k]
     for k in range(n):
         whole_commanded[k + 1], whole_read[k + 1] = commanded[k], read[k]
-        acting[memory + k] = abs(whole_commanded[k + 1] - whole_commanded[k]) / tick_s
-    at, _, after = _too_far(whole_commanded, whole_read, acting, per_speed, room, moves, still)
-    if at:
+        acting_speeds[memory + k] = abs(whole_commanded[k + 1] - whole_commanded[k]) / tick_s
+    trip_index, _, still_after = _too_far(
+        whole_commanded, whole_read, acting_speeds, per_speed, room, least_motion, still
+    )
+    if trip_index:
         return False, still
     for k in range(memory):
-        speeds[k] = acting[n + k]
+        speeds[k] = acting_speeds[n + k]
     last[0], last[1] = commanded[n - 1], read[n - 1]
     if len(volts):
         last[2] = volts[len(volts) - 1]
-    return True, after
+    return True, still_after
 
 
 FREE = frozenset(("light-grid", "enable"))
@@ -369,11 +377,16 @@ class ScanGuards:
         contacts = machine.contacts.items()
         self._grids = [name for name, contact in contacts if contact.kind in FREE]
         self._needs = {name: output.needs for name, output in machine.outputs.items()}
-        ends = [(name, one) for name, one in contacts if one.cylinder and one.beyond and one.at]
+        end_contacts = [
+            (name, end_contact)
+            for name, end_contact in contacts
+            if end_contact.cylinder and end_contact.beyond and end_contact.at
+        ]
         self._both = [
-            (str(one.cylinder), first, second)
-            for (first, one), (second, other) in combinations(ends, 2)
-            if one.cylinder == other.cylinder and one.beyond != other.beyond
+            (str(end_contact.cylinder), first, second)
+            for (first, end_contact), (second, other_contact) in combinations(end_contacts, 2)
+            if end_contact.cylinder == other_contact.cylinder
+            and end_contact.beyond != other_contact.beyond
         ]
 
     def trip(

@@ -76,12 +76,12 @@ def serve_hal(end: socket.socket, machine: Machine, start: IntArray, *, plant: b
 
 
 def _serve(connection: Connection, rows: HalRows) -> None:
-    looked = time.monotonic()
+    looked_s = time.monotonic()
     while not (connection.lost or rows.left):
-        message = connection.receive(looked + _LOOK_S - time.monotonic())
-        if (now := time.monotonic()) >= looked + _LOOK_S:
-            rows.go_on(now - looked)  # first: the played rows decide which refills fit
-            looked = now
+        message = connection.receive(looked_s + _LOOK_S - time.monotonic())
+        if (now_s := time.monotonic()) >= looked_s + _LOOK_S:
+            rows.go_on(now_s - looked_s)  # first: the played rows decide which refills fit
+            looked_s = now_s
         if message is not None:
             rows.take(message)
 
@@ -112,10 +112,10 @@ def check_hal(machine: Machine) -> None:
             f"the tick of {machine.name} is not a whole number of nanoseconds",
             remedy="Use --link sim.",
         )
-    lacking = [name for name in _PROGRAMS if shutil.which(name) is None]
-    if lacking:
+    missing = [name for name in _PROGRAMS if shutil.which(name) is None]
+    if missing:
         raise OptionError(
-            f"LinuxCNC's HAL is not installed: there is no {' and no '.join(lacking)}",
+            f"LinuxCNC's HAL is not installed: there is no {' and no '.join(missing)}",
             remedy="Install linuxcnc-uspace.",
         )
     as_user()

@@ -48,18 +48,18 @@ _ATTACHED.shmdt.argtypes = [ctypes.c_void_p]
 def in_use(key: int) -> int:
     """Return the process that created the shared memory with a key; 0 if nobody uses it."""
     for line in _MEMORIES.read_text("ascii").splitlines()[1:]:
-        its, _, _, _, maker, _, users, *_ = line.split()
-        if int(its) == key and int(users):
-            return int(maker)
+        its_key, _, _, _, creator, _, user_count, *_ = line.split()
+        if int(its_key) == key and int(user_count):
+            return int(creator)
     return 0
 
 
 def remove_left() -> None:
     """Remove the fifos that a killed HAL left: shared memory without a user."""
     for key in (STREAMER_KEY, SAMPLER_KEY):
-        number = int(_ATTACHED.shmget(key, 0, 0))
-        if number >= 0 and not in_use(key):
-            _ATTACHED.shmctl(number, _REMOVE, None)
+        memory_id = int(_ATTACHED.shmget(key, 0, 0))
+        if memory_id >= 0 and not in_use(key):
+            _ATTACHED.shmctl(memory_id, _REMOVE, None)
 
 
 class HalFifo:
@@ -91,27 +91,31 @@ class HalFifo:
     def __init__(self, key: int, depth: int, fields: str) -> None:
         if platform.machine() not in {"x86_64", "AMD64"}:  # x86 keeps the order of stores
             raise LinkFaultError(f"the fifo of HAL needs x86-64, this is {platform.machine()}")
-        number = int(_ATTACHED.shmget(key, 0, 0))
-        at = None if number < 0 else _ATTACHED.shmat(number, None, 0)
-        if at is None or at == ctypes.c_void_p(-1).value:
+        memory_id = int(_ATTACHED.shmget(key, 0, 0))
+        address = None if memory_id < 0 else _ATTACHED.shmat(memory_id, None, 0)
+        if address is None or address == ctypes.c_void_p(-1).value:
             raise LinkFaultError(
                 "the fifo of HAL is not there, or belongs to somebody else",
                 remedy="Check whether LinuxCNC runs: halcmd show comp.",
             )
-        self._at = int(at)
-        row = (len(fields) + 1) * _RECORDS_APART
-        whole = memoryview((ctypes.c_char * (_HEAD + depth * row)).from_address(self._at)).cast("B")
-        self._head: NDArray[np.uint32] = np.frombuffer(whole, np.uint32, 10)
-        kinds = np.frombuffer(whole, np.int32, _MOST_FIELDS, 40)[: len(fields)].tolist()
-        depth_read = [int(self._head[k]) for k in (0, 4, 5)]
-        if depth_read != [_MAGIC, depth, len(fields)] or kinds != [_TYPES[f] for f in fields]:
+        self._at = int(address)
+        record_bytes = (len(fields) + 1) * _RECORDS_APART
+        memory = memoryview(
+            (ctypes.c_char * (_HEAD + depth * record_bytes)).from_address(self._at)
+        ).cast("B")
+        self._head: NDArray[np.uint32] = np.frombuffer(memory, np.uint32, 10)
+        field_types = np.frombuffer(memory, np.int32, _MOST_FIELDS, 40)[: len(fields)].tolist()
+        head_values = [int(self._head[k]) for k in (0, 4, 5)]
+        if head_values != [_MAGIC, depth, len(fields)] or field_types != [
+            _TYPES[letter] for letter in fields
+        ]:
             self.close()
             raise LinkFaultError(
                 "the layout of HAL's fifo differs from LinuxCNC 2.9",
                 remedy="Use LinuxCNC 2.8 or 2.9.",
             )
         self.depth = depth
-        self.numbers: NDArray[np.float64] = np.frombuffer(whole, np.float64, offset=_HEAD).reshape(
+        self.numbers: NDArray[np.float64] = np.frombuffer(memory, np.float64, offset=_HEAD).reshape(
             depth, -1
         )
         self.words: NDArray[np.int32] = self.numbers.view(np.int32)[:, ::2]
@@ -142,10 +146,10 @@ class HalFifo:
 
     def take(self) -> tuple[IntArray, FloatArray]:
         """Return the waiting records, as words and as numbers, and free their slots."""
-        until = self.written
-        slots = (self.read + np.arange((until - self.read) % self.depth)) % self.depth
+        end = self.written
+        slots = (self.read + np.arange((end - self.read) % self.depth)) % self.depth
         words, numbers = self.words[slots].astype(np.int64), self.numbers[slots]
-        self._head[2] = until
+        self._head[2] = end
         return words, numbers
 
     def close(self) -> None:
@@ -258,19 +262,19 @@ class HalSession:
         self._axes, self._plant = len(machine.axes), plant
         tick_s = float(machine.tick_clock.period_s)
         self._depth = int(_HELD_S / tick_s) + 300
-        sampled = int(SAMPLED_S / tick_s) + 100
+        sampler_depth = int(SAMPLED_S / tick_s) + 100
         self._folder = tempfile.TemporaryDirectory(prefix="threadline-hal-")
         self._words = as_user()
         if self._words:
             os.chown(self._folder.name, int(os.environ["SUDO_UID"]), -1)
-        numbers = _OWN * self._axes
+        position_field_count = _OWN * self._axes
         self._in_force = np.zeros(self._depth, dtype=np.int64)  # version in force, for each slot
         self._fill = int(np.ceil(FILL_S / tick_s))
         self._lead = max(2, int(np.ceil(_LEAD_S / tick_s)))
         remove_left()
-        self._tell(_net(machine, self._depth, sampled, plant=plant))
-        self._out = HalFifo(STREAMER_KEY, self._depth, "bs" + "f" * numbers)
-        self._in = HalFifo(SAMPLER_KEY, sampled, "ss" + "f" * numbers)
+        self._tell(_net(machine, self._depth, sampler_depth, plant=plant))
+        self._out = HalFifo(STREAMER_KEY, self._depth, "bs" + "f" * position_field_count)
+        self._in = HalFifo(SAMPLER_KEY, sampler_depth, "ss" + "f" * position_field_count)
         self._end = self._taken = 0  # numbers of the next records to write and to play
         self._stands = start.astype(np.float64)
         self.fill()
@@ -322,28 +326,28 @@ class HalSession:
         self._reach(max(first + len(positions) + 1, self.taken + self._fill))
         if first < self.taken + self._lead:
             return False
-        numbers = np.arange(first, self._end)
-        slots = numbers % self._depth
-        following = positions[np.minimum(numbers - first, len(positions) - 1)]
-        spare = 1 - self._in_force[slots]
+        record_numbers = np.arange(first, self._end)
+        slots = record_numbers % self._depth
+        new_positions = positions[np.minimum(record_numbers - first, len(positions) - 1)]
+        spare_versions = 1 - self._in_force[slots]
         for k in range(self._axes):
-            self._out.numbers[slots, _OWN + k + spare * self._axes] = following[:, k]
+            self._out.numbers[slots, _OWN + k + spare_versions * self._axes] = new_positions[:, k]
         slot = first % self._depth
         self._out.words[slot, _FLIP] = 1 - self._out.words[slot, _FLIP]  # all of them at once
         if self.taken >= first:  # too late, or unknown
             raise LinkFaultError("HAL has played a row before it could be replaced")
-        self._in_force[slots] = spare
-        self._stands = following[-1]
+        self._in_force[slots] = spare_versions
+        self._stands = new_positions[-1]
         return True
 
     def _reach(self, end: int) -> None:
         """Append records that repeat the last position, up to the number ``end``."""
         if end <= self._end:
             return
-        numbers = np.arange(self._end, end)
-        slots = numbers % self._depth
+        record_numbers = np.arange(self._end, end)
+        slots = record_numbers % self._depth
         self._out.words[slots, _FLIP] = 0
-        self._out.words[slots, _NUMBER] = numbers
+        self._out.words[slots, _NUMBER] = record_numbers
         self._out.numbers[slots, _OWN : _OWN + 2 * self._axes] = np.tile(self._stands, 2)
         self._in_force[slots] = self._in_force[(self._end - 1) % self._depth]
         self._end = end
@@ -378,17 +382,19 @@ class HalSession:
         self._folder.cleanup()
 
     def _play_out(self) -> None:
-        waiting, since = self._out.waiting, time.monotonic()
-        while waiting and time.monotonic() < since + SILENT_S:
+        waiting, since_s = self._out.waiting, time.monotonic()
+        while waiting and time.monotonic() < since_s + SILENT_S:
             time.sleep(0.01)
             if self._out.waiting != waiting:
-                waiting, since = self._out.waiting, time.monotonic()
+                waiting, since_s = self._out.waiting, time.monotonic()
 
     def _begin_plant(self) -> None:
         """Place the plant at the start, and release it."""
-        until = time.monotonic() + _PATIENCE_S
-        while not len(found := self.samples().read) or (found[-1] != self._stands).any():
-            if time.monotonic() > until:
+        until_s = time.monotonic() + _PATIENCE_S
+        while (
+            not len(read_counts := self.samples().read) or (read_counts[-1] != self._stands).any()
+        ):
+            if time.monotonic() > until_s:
                 raise LinkFaultError("HAL does not come to the start: its thread stands still")
             self.fill()
             time.sleep(0.01)
@@ -397,32 +403,32 @@ class HalSession:
     def _tell(self, lines: list[str]) -> None:
         file = Path(self._folder.name) / "net.hal"
         file.write_text("\n".join(lines) + "\n", "ascii")
-        status, why = self._run(["halcmd", "-f", str(file)])
+        status, output = self._run(["halcmd", "-f", str(file)])
         if status:
             raise LinkFaultError(
-                f"LinuxCNC's HAL does not start: {why}", remedy="Try it by itself: halrun."
+                f"LinuxCNC's HAL does not start: {output}", remedy="Try it by itself: halrun."
             )
 
     def _run(self, words: list[str]) -> tuple[int, str]:
         """Run a program of HAL; return its status, and the end of its output."""
         environment = {**os.environ, "RTAPI_FIFO_PATH": str(_meeting_place())}
         # Its child processes stay and would keep a pipe open: write to a file.
-        with (Path(self._folder.name) / "said").open("w+b") as said:
-            done = subprocess.run(  # noqa: S603  # words of ours
+        with (Path(self._folder.name) / "said").open("w+b") as log:
+            result = subprocess.run(  # noqa: S603  # words of ours
                 [*self._words, *words],
                 env=environment,
                 cwd="/",
                 stdin=subprocess.DEVNULL,
-                stdout=said,
-                stderr=said,
+                stdout=log,
+                stderr=log,
                 timeout=_PATIENCE_S,
                 check=False,
             )
-            said.seek(0)
-            return done.returncode, " ".join(said.read().decode("utf-8", "replace").split())[-300:]
+            log.seek(0)
+            return result.returncode, " ".join(log.read().decode("utf-8", "replace").split())[-300:]
 
 
-def _net(machine: Machine, depth: int, sampled: int, *, plant: bool) -> list[str]:
+def _net(machine: Machine, depth: int, sampler_depth: int, *, plant: bool) -> list[str]:
     """Return the lines of a HAL file: components, functions in their order, and nets."""
     axes = range(len(machine.axes))
     period_s = machine.tick_clock.period_s
@@ -430,7 +436,7 @@ def _net(machine: Machine, depth: int, sampled: int, *, plant: bool) -> list[str
     lines = [
         f"loadrt threads name1=tick period1={int(10**9 * period_s)}",
         f"loadrt streamer depth={depth} cfg=bs{'ff' * len(pins)}",
-        f"loadrt sampler depth={sampled} cfg=ss{'ff' * len(pins)}",
+        f"loadrt sampler depth={sampler_depth} cfg=ss{'ff' * len(pins)}",
         "loadrt timedelta",
         "loadrt xor2 names=version",
         f"loadrt mux2 names={','.join(pins)}",

@@ -64,18 +64,20 @@ def hold_deviation_m(plan: Plan) -> float:
     period_s = float(table.clock.period_s)
     radius, scale = plan.machine.radius_m, plan.machine.counts_per_unit
     begin_s = motion.rests_s[0]
-    stands, worst, tick = table.start_counts.astype(np.float64), 0.0, 0
+    last_counts, largest_m, tick = table.start_counts.astype(np.float64), 0.0, 0
     for block in table:
-        for at in range(0, len(block), _AT_ONCE):
-            places = stands + np.cumsum(block.counts[at : at + _AT_ONCE], axis=0)
+        for first in range(0, len(block), _AT_ONCE):
+            position_counts = last_counts + np.cumsum(
+                block.counts[first : first + _AT_ONCE], axis=0
+            )
             first_s = tick * period_s - begin_s - _AROUND_S
-            span_s = len(places) * period_s + 2.0 * _AROUND_S
+            span_s = len(position_counts) * period_s + 2.0 * _AROUND_S
             times_s = first_s + np.linspace(0.0, span_s, ceil(_FINER * span_s / period_s))
-            near = path(np.clip(times_s, 0.0, path.duration_s)) * radius
-            found, _ = KDTree(near).query(places / scale * radius)
-            worst = max(worst, float(np.max(found, initial=0.0)))
-            stands, tick = places[-1], tick + len(places)
-    return worst
+            path_points_m = path(np.clip(times_s, 0.0, path.duration_s)) * radius
+            distances_m, _ = KDTree(path_points_m).query(position_counts / scale * radius)
+            largest_m = max(largest_m, float(np.max(distances_m, initial=0.0)))
+            last_counts, tick = position_counts[-1], tick + len(position_counts)
+    return largest_m
 
 
 def hold_ahead_m(plan: Plan) -> float:
@@ -91,17 +93,19 @@ def hold_ahead_m(plan: Plan) -> float:
     table, reader = tick_table(plan.commands), TrajectoryReader(intended)
     columns = [table.axes.index(axis) for axis in intended.axes]
     radius, scale = plan.machine.radius_m, plan.machine.counts_per_unit
-    stands, worst = table.start_counts.astype(np.float64), 0.0
+    last_counts, largest_m = table.start_counts.astype(np.float64), 0.0
     for block in table:
-        places = stands + np.cumsum(block.counts, axis=0)
-        time_s = table.clock.times_s(block.first_tick + 1, len(block))
-        played = (places / scale * radius)[:, columns]
-        meant = reader.ladder(time_s, 1)[:, 0] * radius[columns]
-        worst = max(worst, float(np.linalg.norm(played - meant, axis=1).max(initial=0.0)))
+        position_counts = last_counts + np.cumsum(block.counts, axis=0)
+        times_s = table.clock.times_s(block.first_tick + 1, len(block))
+        commanded_m = (position_counts / scale * radius)[:, columns]
+        intended_m = reader.ladder(times_s, 1)[:, 0] * radius[columns]
+        largest_m = max(
+            largest_m, float(np.linalg.norm(commanded_m - intended_m, axis=1).max(initial=0.0))
+        )
         if len(block):
-            reader.drop(float(time_s[-1]))
-            stands = places[-1]
-    return worst
+            reader.drop(float(times_s[-1]))
+            last_counts = position_counts[-1]
+    return largest_m
 
 
 def hold_limit_m(spec: Spec, criterion: str = "contour_error") -> float:
@@ -135,11 +139,11 @@ def spoiled_by_holds(plan: Plan, spec: Spec, hold: Hold = Hold.AT_ONCE) -> tuple
     rows are not always the worst: where axes with different lags come to rest, the eye of a winder
     swings and may lift the fibre. A criterion that fails without a hold, too, is not counted.
     """
-    for at in _PLACES:
+    for share in _PLACES:
         window = PathWindow(tick_table(plan.commands), pass_stops=True)
-        places, until = _held_places(window, plan, at, _gently(plan, hold))
-        if until and (found := _spoiled(plan, spec, window, places)):
-            return found
+        places, last_hold_end = _held_places(window, plan, share, _gently(plan, hold))
+        if last_hold_end and (spoiled := _spoiled(plan, spec, window, places)):
+            return spoiled
     return ()
 
 
@@ -159,12 +163,12 @@ def spoiled_by_override(plan: Plan, spec: Spec, hold: Hold) -> tuple[int, tuple[
     table = tick_table(plan.commands)
     for rate in _SLOWER:
         window = PathWindow(table, pass_stops=True)
-        rows = int(window.reach(rate * _MOST_ROWS))
-        evenly = np.minimum(rate * np.arange(ceil(rows / rate) + 1.0), rows)
-        changing = _overridden_places(window, plan, (rate, rows), hold)
-        for places in (_resting(evenly, window, plan), changing):
-            if len(places) and (found := _spoiled(plan, spec, window, places)):
-                return round(100.0 * rate), found
+        row_count = int(window.reach(rate * _MOST_ROWS))
+        constant_rate_places = np.minimum(rate * np.arange(ceil(row_count / rate) + 1.0), row_count)
+        changing_rate_places = _overridden_places(window, plan, (rate, row_count), hold)
+        for places in (_resting(constant_rate_places, window, plan), changing_rate_places):
+            if len(places) and (spoiled := _spoiled(plan, spec, window, places)):
+                return round(100.0 * rate), spoiled
     return 100, ()
 
 
@@ -178,37 +182,47 @@ def override_exceeds(plan: Plan) -> int:
     limits = CountLimits.of(plan.machine, loads_follow=plan.motion.of_loads is not None)
     for rate in _SLOWER:
         window = PathWindow(table, pass_stops=True)
-        rows = int(window.reach(rate * _MOST_ROWS))
-        slower = window.counts(np.minimum(rate * np.arange(ceil(rows / rate) + 1.0), rows))
-        if limits.excess(slower, window.counts(np.arange(rows + 1.0))) > 1.0:
+        row_count = int(window.reach(rate * _MOST_ROWS))
+        slower_counts = window.counts(
+            np.minimum(rate * np.arange(ceil(row_count / rate) + 1.0), row_count)
+        )
+        if limits.excess(slower_counts, window.counts(np.arange(row_count + 1.0))) > 1.0:
             return round(100.0 * rate)
     return 100
 
 
 def _spoiled(plan: Plan, spec: Spec, window: PathWindow, places: FloatArray) -> tuple[Result, ...]:
     """Return the criteria that a run with (n,) places at its ticks brings out of specification."""
-    soft = [c for c in spec.criteria if c.limit and not c.hard]
-    narrower = tuple(replace(c, limit=_SPARE * (c.limit or 0.0)) for c in soft)
-    if not soft:
+    soft_criteria = [c for c in spec.criteria if c.limit and not c.hard]
+    narrowed_criteria = tuple(replace(c, limit=_SPARE * (c.limit or 0.0)) for c in soft_criteria)
+    if not soft_criteria:
         return ()
     table = tick_table(plan.commands)
     counts = np.diff(window.rounded(places), axis=0)
-    operation = window.operations(places[:-1])
-    rows = TickBlock(first_tick=0, counts=counts, operation=operation)
-    held = simulate(replace(table, blocks=Stream.of([rows])), plan.machine)
-    pace, ticks = Pace(table.clock), len(counts)
-    events = (*pace.played(0, places[1:]), *pace.ended(ticks, 1))
-    recording = replace(held, blocks=Stream(_with_events, held.blocks, events, table.clock.name))
+    operations = window.operations(places[:-1])
+    tick_block = TickBlock(first_tick=0, counts=counts, operation=operations)
+    simulated = simulate(replace(table, blocks=Stream.of([tick_block])), plan.machine)
+    pace, tick_count = Pace(table.clock), len(counts)
+    events = (*pace.played(0, places[1:]), *pace.ended(tick_count, 1))
+    recording = replace(
+        simulated, blocks=Stream(_with_events, simulated.blocks, events, table.clock.name)
+    )
     failed = [
         result
-        for result in Judge(plan, replace(spec, criteria=narrower)).verdict([recording]).results
+        for result in Judge(plan, replace(spec, criteria=narrowed_criteria))
+        .verdict([recording])
+        .results
         if result.status is Status.FAILED
     ]
     if failed:
-        alone = Judge(plan, spec).verdict([simulate(plan.commands, plan.machine)])
-        bad = {(r.name, r.axis) for r in alone.results if r.status is Status.FAILED}
-        failed = [result for result in failed if (result.name, result.axis) not in bad]
-    limits = {(c.name, c.axis): c.limit for c in soft}
+        verdict_without_holds = Judge(plan, spec).verdict([simulate(plan.commands, plan.machine)])
+        failed_without_holds = {
+            (r.name, r.axis) for r in verdict_without_holds.results if r.status is Status.FAILED
+        }
+        failed = [
+            result for result in failed if (result.name, result.axis) not in failed_without_holds
+        ]
+    limits = {(c.name, c.axis): c.limit for c in soft_criteria}
     return tuple(
         replace(r, limit=limits.get((r.name, r.axis), limits.get((r.name, "")))) for r in failed
     )
@@ -220,85 +234,97 @@ def _gently(plan: Plan, hold: Hold) -> float:
 
 
 def _held_places(
-    window: PathWindow, plan: Plan, at: float | None, gently: float
+    window: PathWindow, plan: Plan, share: float | None, brake_ticks: float
 ) -> tuple[FloatArray, int]:
     """Return the (n,) places at the ticks of a run with holds, and the tick after the last hold.
 
     The tick is 0 if no row moves. The rest of the table after the last hold is played unchanged.
-    ``at`` is the place of the holds within their parts, as a share of the rows; None: at the
-    fastest row. ``gently`` is the shortest duration of a braking, in ticks.
+    ``share`` is the place of the holds within their parts, as a share of the rows; None: at the
+    fastest row. ``brake_ticks`` is the shortest duration of a braking, in ticks.
     """
     table = tick_table(plan.commands)
-    rows = int(window.reach(_MOST_ROWS))
-    radius = plan.machine.radius_m / table.counts_per_unit
-    step = np.diff(window.counts(np.arange(rows + 1.0)), axis=0) * radius
-    speed = np.linalg.norm(step, axis=1)
+    row_count = int(window.reach(_MOST_ROWS))
+    m_per_count = plan.machine.radius_m / table.counts_per_unit
+    steps_m = np.diff(window.counts(np.arange(row_count + 1.0)), axis=0) * m_per_count
+    speeds = np.linalg.norm(steps_m, axis=1)
     limits = CountLimits.of(plan.machine, loads_follow=plan.motion.of_loads is not None)
-    stands = np.ones(ceil(_STANDS_S / float(table.clock.period_s)))
-    places, until = np.arange(3.0), 0
-    for begin, end in pairwise(np.linspace(0, rows, _HOLDS + 1).astype(int).tolist()):
+    rest_ones = np.ones(ceil(_STANDS_S / float(table.clock.period_s)))
+    places, last_hold_end = np.arange(3.0), 0
+    for begin, end in pairwise(np.linspace(0, row_count, _HOLDS + 1).astype(int).tolist()):
         if end <= begin:
             continue
-        row = begin + (int(np.argmax(speed[begin:end])) if at is None else int(at * (end - begin)))
-        if speed[row] <= 0.0 or row <= places[-1] or row + 2 >= rows:
+        row = begin + (
+            int(np.argmax(speeds[begin:end])) if share is None else int(share * (end - begin))
+        )
+        if speeds[row] <= 0.0 or row <= places[-1] or row + 2 >= row_count:
             continue
         places = np.concatenate([places, np.arange(places[-1] + 1.0, row + 1.0)])
-        window.reach(places[-1] + MOST_PLACES + most_changed(gently))
-        last = float(window.reach(places[-1]))
-        before = (float(places[-3]), float(places[-2]), float(places[-1]))
-        down = np.minimum(brake(window, before, limits, gently), last)
-        rests_at = float(down[-1]) if len(down) else float(places[-1])
-        up = np.minimum(rise(window, rests_at, limits, gently), last)
-        places = np.concatenate([places, down, rests_at * stands, up])
-        until = len(places)
-    rest = np.arange(np.floor(places[-1]) + 1.0, rows + 1.0)
-    return np.concatenate([places, rest]), until
+        window.reach(places[-1] + MOST_PLACES + most_changed(brake_ticks))
+        last_place = float(window.reach(places[-1]))
+        last_places = (float(places[-3]), float(places[-2]), float(places[-1]))
+        braking_places = np.minimum(brake(window, last_places, limits, brake_ticks), last_place)
+        rests_at = float(braking_places[-1]) if len(braking_places) else float(places[-1])
+        rising_places = np.minimum(rise(window, rests_at, limits, brake_ticks), last_place)
+        places = np.concatenate([places, braking_places, rests_at * rest_ones, rising_places])
+        last_hold_end = len(places)
+    rest_places = np.arange(np.floor(places[-1]) + 1.0, row_count + 1.0)
+    return np.concatenate([places, rest_places]), last_hold_end
 
 
 def _overridden_places(
-    window: PathWindow, plan: Plan, slower: tuple[float, int], hold: Hold
+    window: PathWindow, plan: Plan, rate_and_end: tuple[float, int], hold: Hold
 ) -> FloatArray:
     """Return the (n,) places at the ticks of an overridden run; empty if no row moves.
 
-    ``slower`` is the rate and the row at which the places end; ``hold`` says how a hold brakes.
+    ``rate_and_end`` is the rate and the row at which the places end; ``hold`` says how a hold
+    brakes.
     """
-    rate, rows = slower
-    radius = plan.machine.radius_m / plan.machine.counts_per_unit
-    step = np.diff(window.counts(np.arange(rows + 1.0)), axis=0) * radius
-    speed = np.linalg.norm(step, axis=1)
-    if not speed.any():
+    rate, end_row = rate_and_end
+    m_per_count = plan.machine.radius_m / plan.machine.counts_per_unit
+    steps_m = np.diff(window.counts(np.arange(end_row + 1.0)), axis=0) * m_per_count
+    speeds = np.linalg.norm(steps_m, axis=1)
+    if not speeds.any():
         return np.empty(0)
     limits = CountLimits.of(plan.machine, loads_follow=plan.motion.of_loads is not None)
-    stands, gently = ticks_in(_STANDS_S, plan.machine), float(ticks_in(OVERRIDE_S, plan.machine))
-    held, places = _gently(plan, hold), np.arange(3.0)
+    rest_ticks, override_ticks = (
+        ticks_in(_STANDS_S, plan.machine),
+        float(ticks_in(OVERRIDE_S, plan.machine)),
+    )
+    hold_ticks, places = _gently(plan, hold), np.arange(3.0)
 
-    def go_on(more: FloatArray) -> None:
+    def append_places(new_places: FloatArray) -> None:
         nonlocal places
-        places = np.concatenate([places, np.minimum(more, rows)])
-        window.reach(places[-1] + stands + 2.0 * most_changed(max(gently, held)))
+        places = np.concatenate([places, np.minimum(new_places, end_row)])
+        window.reach(places[-1] + rest_ticks + 2.0 * most_changed(max(override_ticks, hold_ticks)))
 
-    def change(before: float, after: float) -> None:
-        slowly = gently if before else held
-        go_on(change_rate(window, float(places[-1]), (before, after), limits, slowly))
+    def switch_rate(rate_before: float, rate_after: float) -> None:
+        duration_ticks = override_ticks if rate_before else hold_ticks
+        append_places(
+            change_rate(
+                window, float(places[-1]), (rate_before, rate_after), limits, duration_ticks
+            )
+        )
 
-    go_on(np.empty(0))
-    change(1.0, rate)
-    for part, (begin, end) in enumerate(pairwise(np.linspace(0, rows, _HOLDS + 1).astype(int))):
-        fastest = begin + int(np.argmax(speed[begin:end])) if end > begin else begin
-        if fastest <= places[-1] or fastest + 2 >= rows:
+    append_places(np.empty(0))
+    switch_rate(1.0, rate)
+    for part_index, (begin, end) in enumerate(
+        pairwise(np.linspace(0, end_row, _HOLDS + 1).astype(int))
+    ):
+        fastest_row = begin + int(np.argmax(speeds[begin:end])) if end > begin else begin
+        if fastest_row <= places[-1] or fastest_row + 2 >= end_row:
             continue
-        go_on(places[-1] + rate * np.arange(1.0, (fastest - places[-1]) / rate + 1.0))
-        if hold is not Hold.AT_REST and part % 2:
-            go_on(brake(window, (places[-3], places[-2], places[-1]), limits, held))
-            go_on(np.full(stands, places[-1]))
-            change(0.0, rate)
+        append_places(places[-1] + rate * np.arange(1.0, (fastest_row - places[-1]) / rate + 1.0))
+        if hold is not Hold.AT_REST and part_index % 2:
+            append_places(brake(window, (places[-3], places[-2], places[-1]), limits, hold_ticks))
+            append_places(np.full(rest_ticks, places[-1]))
+            switch_rate(0.0, rate)
         else:
-            change(rate, 1.0)
-            go_on(places[-1] + np.arange(1.0, stands + 1.0))
-            change(1.0, rate)
-    go_on(places[-1] + rate * np.arange(1.0, (rows - places[-1]) / rate + 1.0))
-    if places[-1] < rows:
-        go_on(np.array([float(rows)]))
+            switch_rate(rate, 1.0)
+            append_places(places[-1] + np.arange(1.0, rest_ticks + 1.0))
+            switch_rate(1.0, rate)
+    append_places(places[-1] + rate * np.arange(1.0, (end_row - places[-1]) / rate + 1.0))
+    if places[-1] < end_row:
+        append_places(np.array([float(end_row)]))
     return _resting(places, window, plan)
 
 
@@ -308,20 +334,20 @@ def _resting(places: FloatArray, window: PathWindow, plan: Plan) -> FloatArray:
     limits = CountLimits.of(plan.machine, loads_follow=plan.motion.of_loads is not None)
     if window.at_end and places[-1] >= window.reach(places[-1]):
         return places
-    down = brake(window, (places[-3], places[-2], places[-1]), limits)
-    return np.concatenate([places, np.minimum(down, window.reach(places[-1]))])
+    braking_places = brake(window, (places[-3], places[-2], places[-1]), limits)
+    return np.concatenate([places, np.minimum(braking_places, window.reach(places[-1]))])
 
 
 def _with_events(
-    blocks: Iterable[RecordingBlock], events: Sequence[Event], clock: str
+    blocks: Iterable[RecordingBlock], events: Sequence[Event], clock_name: str
 ) -> Iterator[RecordingBlock]:
     """Yield blocks with the events ``events``, each in the block of its tick."""
-    left = list(events)
+    pending = list(events)
     for block in blocks:
-        count = max(map(len, block.samples.values()), default=0)
-        due = [e for e in left if e.tick < block.first_tick[clock] + count]
-        left = left[len(due) :]
-        yield replace(block, events=(*block.events, *due))
+        sample_count = max(map(len, block.samples.values()), default=0)
+        due_events = [e for e in pending if e.tick < block.first_tick[clock_name] + sample_count]
+        pending = pending[len(due_events) :]
+        yield replace(block, events=(*block.events, *due_events))
 
 
 def hold_words(
@@ -346,29 +372,35 @@ def hold_words(
         Whether the controller holds on its path by itself, and waits for no rest.
     """
     if spoiled and math.isfinite(leaves_m):
-        found = _results_words(spoiled)
+        criteria_words = _results_words(spoiled)
         if at_once:
-            return f"the controller holds at once: at full speed that shakes the load ({found})"
-        shaken = f"braking at full speed would shake the load ({found})"
+            return (
+                "the controller holds at once: at full speed that shakes the load "
+                f"({criteria_words})"
+            )
+        shaken = f"braking at full speed would shake the load ({criteria_words})"
         if hold is Hold.GENTLY:
             tick_s = float(plan.machine.tick_clock.period_s)
-            lasts_s = gentle_ticks(tick_s) * tick_s
-            return f"{shaken}, so a hold brakes within {lasts_s:.2g} s; STOP brakes at once"
-        until = "at the next rest" if rests_within(plan) else "at the end, for there is no rest"
-        return f"{shaken}, so a hold stands {until}"
+            braking_s = gentle_ticks(tick_s) * tick_s
+            return f"{shaken}, so a hold brakes within {braking_s:.2g} s; STOP brakes at once"
+        when = "at the next rest" if rests_within(plan) else "at the end, for there is no rest"
+        return f"{shaken}, so a hold stands {when}"
     if not 0.0 < leaves_m < math.inf:
         return ""
     ahead_m = hold_ahead_m(plan)
-    places = f"{1e3 * leaves_m:.2f} mm beside the path"
+    deviation_words = f"{1e3 * leaves_m:.2f} mm beside the path"
     if ahead_m > 0.0:
-        places += f" or {1e3 * ahead_m:.2f} mm from where it is due"
+        deviation_words += f" or {1e3 * ahead_m:.2f} mm from where it is due"
     if hold is not Hold.AT_REST:
-        return f"a hold may stand {places}, within the limit"
+        return f"a hold may stand {deviation_words}, within the limit"
     if at_once:
-        return f"a hold may stand {places}, beyond the limit: the controller holds at once"
+        return f"a hold may stand {deviation_words}, beyond the limit: the controller holds at once"
     if rests_within(plan):
-        return f"a hold may stand {places}, so it stands at the next rest"
-    return f"a hold may stand {places}, so it waits for a rest, and there is none before the end"
+        return f"a hold may stand {deviation_words}, so it stands at the next rest"
+    return (
+        f"a hold may stand {deviation_words}, so it waits for a rest, and there is none before "
+        "the end"
+    )
 
 
 def override_words(leaves_m: float, percent: int, spoiled: Sequence[Result]) -> str:
@@ -401,14 +433,14 @@ def _results_words(results: Sequence[Result]) -> str:
 def rests_within(plan: Plan) -> bool:
     """Return whether a plan rests or stops between two motions, where a hold can take effect."""
     table = tick_table(plan.commands)
-    needed, moved = rest_rows(table), -1  # the last row that moves
+    rest_row_count, last_moving = rest_rows(table), -1  # the last row that moves
     for block in table:
-        rows = np.flatnonzero((block.counts != 0).any(axis=1)) + block.first_tick
-        if moved < 0 and len(rows):
-            moved = int(rows[0])  # the rest before it is the start
-        if len(rows) and (np.diff(rows, prepend=moved) > needed).any():
+        moving_rows = np.flatnonzero((block.counts != 0).any(axis=1)) + block.first_tick
+        if last_moving < 0 and len(moving_rows):
+            last_moving = int(moving_rows[0])  # the rest before it is the start
+        if len(moving_rows) and (np.diff(moving_rows, prepend=last_moving) > rest_row_count).any():
             return True
         if any(event.kind in HALTS for event in block.events):
             return True
-        moved = int(rows[-1]) if len(rows) else moved
+        last_moving = int(moving_rows[-1]) if len(moving_rows) else last_moving
     return False

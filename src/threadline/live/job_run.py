@@ -185,29 +185,29 @@ def judge_run(done: Executed, plan: Plan, spec: Spec, manner: Manner) -> JudgedR
     LinkFaultError
         If the verdict could not be stored.
     """
-    kept, text, whole = done.kept, done.text, manner.again is None
-    before = () if whole else joined_with(kept.trace)
-    happened = whole_recording(kept.trace)
+    kept, text, is_whole = done.kept, done.text, manner.again is None
+    earlier_runs = () if is_whole else joined_with(kept.trace)
+    recording = whole_recording(kept.trace)
     try:
-        verdict = judge([happened], plan, spec)
+        verdict = judge([recording], plan, spec)
     except RecordingError as error:
-        if done.ended is RunEnd.COMPLETED and whole:
+        if done.ended is RunEnd.COMPLETED and is_whole:
             raise
         text = text or f"NOT PROVEN: the rest of a job alone is not judged ({error.message})"
         with moved(kept):
             kept.unjudged(done.ended.value, text)
-        return JudgedRun(recording=happened, verdict=None, text=text, content={})
-    content = _content(verdict, plan, done, manner, before)
+        return JudgedRun(recording=recording, verdict=None, text=text, content={})
+    content = _content(verdict, plan, done, manner, earlier_runs)
     with moved(kept):
         warned = kept.judged(content, done.ended.value, text)
     return JudgedRun(
-        recording=happened, verdict=verdict, text=text, content=content, before=before,
+        recording=recording, verdict=verdict, text=text, content=content, before=earlier_runs,
         warned=warned,
     )  # fmt: skip
 
 
 def _content(
-    verdict: Verdict, plan: Plan, done: Executed, manner: Manner, before: tuple[str, ...]
+    verdict: Verdict, plan: Plan, done: Executed, manner: Manner, earlier_runs: tuple[str, ...]
 ) -> dict[str, Any]:
     may = manner.may
     return {
@@ -224,7 +224,7 @@ def _content(
             for r in may.spoiled_by_holds
         ],
         "no_feed_override": may.no_override,
-        **({"judged_with": before} if before else {}),
+        **({"judged_with": earlier_runs} if earlier_runs else {}),
     }
 
 
@@ -317,20 +317,20 @@ def stopping_at_signals(desk: Desk) -> Iterator[None]:
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    came: list[int] = []
+    received_signals: list[int] = []
 
-    def answer(number: int, _frame: FrameType | None) -> None:
-        came.append(number)
+    def handle(number: int, _frame: FrameType | None) -> None:
+        received_signals.append(number)
         desk.ask(Cause.STOP)
-        if len(came) > 1:
+        if len(received_signals) > 1:
             raise KeyboardInterrupt
 
-    numbers = [signal.SIGINT, signal.SIGTERM]
+    signal_numbers = [signal.SIGINT, signal.SIGTERM]
     if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:  # nohup: the run outlives it
-        numbers.append(signal.SIGHUP)
-    before = {number: signal.signal(number, answer) for number in numbers}
+        signal_numbers.append(signal.SIGHUP)
+    previous_handlers = {number: signal.signal(number, handle) for number in signal_numbers}
     try:
         yield
     finally:
-        for number, handler in before.items():
+        for number, handler in previous_handlers.items():
             signal.signal(number, handler)

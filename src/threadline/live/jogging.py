@@ -54,14 +54,14 @@ class Stillness:
             (n,) samples of each channel.
         """
         for name, room in self._room.items():
-            commanded = samples.get(name)
-            if commanded is None or not len(commanded):
+            readings = samples.get(name)
+            if readings is None or not len(readings):
                 continue
-            last = float(commanded[-1])
-            low, high = self._within.get(name, (last, last))
-            low, high = min(low, float(commanded.min())), max(high, float(commanded.max()))
+            latest = float(readings[-1])
+            low, high = self._within.get(name, (latest, latest))
+            low, high = min(low, float(readings.min())), max(high, float(readings.max()))
             if high - low > room:
-                low, high, self._since = last, last, tick
+                low, high, self._since = latest, latest, tick
             self._within[name] = low, high
 
     def settled(self, tick: int, end: int) -> bool:
@@ -115,16 +115,18 @@ class JogAhead:
                 f"there is no axis {axis[:20]!r}", remedy=f"There are {', '.join(machine.axes)}."
             )
         self._column = machine.axis_names.index(axis)
-        counts = machine.counts_per_unit[self._column] * float(machine.tick_clock.period_s)
+        counts_per_speed = machine.counts_per_unit[self._column] * float(
+            machine.tick_clock.period_s
+        )
         limits = CountLimits.of(machine)
-        most = manual_feed(machine)[self._column]
-        if not abs(velocity) * counts <= most * (1.0 + 1e-9):
+        max_feed = manual_feed(machine)[self._column]
+        if not abs(velocity) * counts_per_speed <= max_feed * (1.0 + 1e-9):
             raise CommandError(
                 f"axis {axis}: {speed_words(machine, axis, abs(velocity))} is faster than the "
-                f"manual feed, {speed_words(machine, axis, most / counts)}",
+                f"manual feed, {speed_words(machine, axis, max_feed / counts_per_speed)}",
                 remedy="Jog more slowly, or change operator.manual_feed in the machine file.",
             )
-        self._target = velocity * counts
+        self._target = velocity * counts_per_speed
         self._low, self._high = float(limits.low[self._column]), float(limits.high[self._column])
         self._otg, self._asked = Ruckig(1), InputParameter(1)
         self._asked.control_interface = ControlInterface.Velocity
@@ -158,31 +160,31 @@ class JogAhead:
 
     def forget(self, tick: int) -> None:
         """Delete the states before ``tick``."""
-        gone = min(tick - _KEPT - self._first, len(self._states) - 1)
-        if gone > 0:
-            self._states = self._states[gone:]
-            self._first += gone
+        forgotten_count = min(tick - _KEPT - self._first, len(self._states) - 1)
+        if forgotten_count > 0:
+            self._states = self._states[forgotten_count:]
+            self._first += forgotten_count
 
     def extend(self, until: int) -> Message:
         """Return the refill with the rows up to tick ``until``, and a braking tail."""
-        begin, self._before_cut = self.end, None
-        for _ in range(begin, until):
+        first_tick, self._before_cut = self.end, None
+        for _ in range(first_tick, until):
             if self.complete:
                 break
-            after = self._step(self._states[-1], self._target)
-            rest = self._rest(after)
-            if self._target and not self._low <= rest <= self._high:
+            next_state = self._step(self._states[-1], self._target)
+            rest_position = self._rest(next_state)
+            if self._target and not self._low <= rest_position <= self._high:
                 self._target, self.why = 0.0, "the end of its travel"
-                after = self._step(self._states[-1], 0.0)
-            self._states.append(after)
-        return self._refill(begin, self._braking(self._states[-1])[1:])
+                next_state = self._step(self._states[-1], 0.0)
+            self._states.append(next_state)
+        return self._refill(first_tick, self._braking(self._states[-1])[1:])
 
     def cut(self, tick: int) -> Message:
         """Return the refill that brakes from ``tick`` on."""
         tick = min(max(tick, self._first), self.end)
         self._before_cut = (self._first, self._states, self._target)
-        kept = self._states[: tick - self._first + 1]
-        self._target, self._states = 0.0, [*kept, *self._braking(kept[-1])[1:]]
+        kept_states = self._states[: tick - self._first + 1]
+        self._target, self._states = 0.0, [*kept_states, *self._braking(kept_states[-1])[1:]]
         return self._refill(tick, [])
 
     def undo(self) -> bool:
@@ -192,44 +194,48 @@ class JogAhead:
         (self._first, self._states, self._target), self._before_cut = self._before_cut, None
         return True
 
-    def _trajectory(self, at: _At, target: float) -> Trajectory:
+    def _trajectory(self, state: _At, target: float) -> Trajectory:
         request = self._asked
-        request.current_position = [at.position]
-        request.current_velocity = [at.velocity]
-        request.current_acceleration = [at.acceleration]
+        request.current_position = [state.position]
+        request.current_velocity = [state.velocity]
+        request.current_acceleration = [state.acceleration]
         request.target_velocity, request.target_acceleration = [target], [0.0]
-        found = Trajectory(1)
-        self._otg.calculate(request, found)
-        return found
+        trajectory = Trajectory(1)
+        self._otg.calculate(request, trajectory)
+        return trajectory
 
-    def _step(self, at: _At, target: float) -> _At:
-        return _state(self._trajectory(at, target), 1.0)
+    def _step(self, state: _At, target: float) -> _At:
+        return _state(self._trajectory(state, target), 1.0)
 
-    def _braking(self, at: _At) -> list[_At]:
+    def _braking(self, state: _At) -> list[_At]:
         """Return the states at the ticks from now on until it rests."""
-        found = self._trajectory(at, 0.0)
-        ticks = ceil(found.duration - 1e-9)
-        states = [_state(found, float(k)) for k in range(1, ticks)]
-        if ticks:
-            states.append(_At(_state(found, float(found.duration)).position, 0.0, 0.0))
-        return [at, *states]
+        trajectory = self._trajectory(state, 0.0)
+        tick_count = ceil(trajectory.duration - 1e-9)
+        states = [_state(trajectory, float(k)) for k in range(1, tick_count)]
+        if tick_count:
+            states.append(_At(_state(trajectory, float(trajectory.duration)).position, 0.0, 0.0))
+        return [state, *states]
 
-    def _rest(self, at: _At) -> float:
+    def _rest(self, state: _At) -> float:
         """Return the position of the last state of ``_braking``, without the others."""
-        found = self._trajectory(at, 0.0)
-        stays = found.duration <= 1e-9
-        return at.position if stays else _state(found, float(found.duration)).position
+        trajectory = self._trajectory(state, 0.0)
+        is_at_rest = trajectory.duration <= 1e-9
+        return (
+            state.position
+            if is_at_rest
+            else _state(trajectory, float(trajectory.duration)).position
+        )
 
-    def _refill(self, begin: int, tail: list[_At]) -> Message:
+    def _refill(self, first_tick: int, tail: list[_At]) -> Message:
         """Return the refill from a tick on, with a braking tail after it."""
-        states = [*self._states[begin - self._first :], *tail]
-        places = np.rint([state.position for state in states]).astype(np.int64)
-        counts = np.zeros((len(places) - 1, len(self._stands)), dtype=np.int64)
-        counts[:, self._column] = np.diff(places)
-        at = np.zeros_like(self._stands)
-        at[self._column] = places[0] - self._stands[self._column]
-        head = {"first": begin, "wanted": self.end - begin, "last": False, "events": []}
-        arrays = {"at": at, "counts": counts, "operation": np.full(len(counts), -1)}
+        states = [*self._states[first_tick - self._first :], *tail]
+        position_counts = np.rint([state.position for state in states]).astype(np.int64)
+        counts = np.zeros((len(position_counts) - 1, len(self._stands)), dtype=np.int64)
+        counts[:, self._column] = np.diff(position_counts)
+        start_counts = np.zeros_like(self._stands)
+        start_counts[self._column] = position_counts[0] - self._stands[self._column]
+        head = {"first": first_tick, "wanted": self.end - first_tick, "last": False, "events": []}
+        arrays = {"at": start_counts, "counts": counts, "operation": np.full(len(counts), -1)}
         return Message("refill", head, arrays)
 
 
@@ -252,12 +258,12 @@ class MoveAhead(JogAhead):
     def __init__(self, machine: Machine, stands: IntArray, axis: str, to_counts: int) -> None:
         super().__init__(machine, stands, axis, 0.0)
         if not self._low <= to_counts <= self._high:
-            there, low, high = (
+            target, low, high = (
                 place_words(machine, axis, counts / machine.counts_per_unit[self._column])
                 for counts in (to_counts, self._low, self._high)
             )
             raise CommandError(
-                f"axis {axis}: {there} is beyond its travel, {low} to {high}",
+                f"axis {axis}: {target} is beyond its travel, {low} to {high}",
                 remedy="Move the position where the job starts.",
             )
         inputs = InputParameter(1)
@@ -270,10 +276,10 @@ class MoveAhead(JogAhead):
         self._otg.calculate(inputs, self._way)
         self._target = self._ends - self._states[0].position  # not 0, which means braking
 
-    def _step(self, at: _At, target: float) -> _At:
+    def _step(self, state: _At, target: float) -> _At:
         tick = self.end + 1
         if target == 0.0:  # it brakes, or has reached its end
-            return super()._step(at, 0.0)
+            return super()._step(state, 0.0)
         if tick < self._way.duration:
             return _state(self._way, float(tick))
         self._target = 0.0
@@ -285,9 +291,9 @@ def manual_feed(machine: Machine) -> FloatArray:
 
     This is the operator's manual feed, or without one a tenth of the axes' limits.
     """
-    most = CountLimits.of(machine).velocity
+    max_velocity = CountLimits.of(machine).velocity
     feed = None if machine.operator is None else machine.operator.manual_feed
-    return np.minimum(most, 0.1 * most if feed is None else feed.si)
+    return np.minimum(max_velocity, 0.1 * max_velocity if feed is None else feed.si)
 
 
 def _state(trajectory: Trajectory, time: float) -> _At:

@@ -179,34 +179,38 @@ class GrblLink:
         """
         assert self._program is not None
         assert self._controller is not None
-        machine, again = plan.machine, conduct.again
-        if again is not None:
-            rest = again.rest
+        machine, continued = plan.machine, conduct.again
+        if continued is not None:
+            rest = continued.rest
             sink = ContinuedSink(sink, machine, rest.left_out, rest.operation)
-        one = GrblOperated(self._controller, desk, sink, pass_stops=conduct.pass_stops)
-        one.enable()
-        one.home()
-        if again is not None and (why := moved_to_begin(one, machine, again, conduct.confirmed)):
-            return why
-        load = Load(plan, program=self._program, rest=None if again is None else again.rest)
-        if self._approach and again is None:
-            starts = zip(machine.axes, one.starts(load).tolist(), strict=True)
-            in_order = sorted(starts, key=lambda way: machine.axes[way[0]].kind != "linear")
-            if why := moved_in_turn(one, machine, in_order, conduct.watch):
-                return why
-        one.run(load, hold=Hold.AT_ONCE, no_override=conduct.no_override)
-        while not one.over:
-            one.step()
-            conduct.watch(one)
-        assert one.ended is not None
-        return one.ended
+        executor = GrblOperated(self._controller, desk, sink, pass_stops=conduct.pass_stops)
+        executor.enable()
+        executor.home()
+        if continued is not None and (
+            early_end := moved_to_begin(executor, machine, continued, conduct.confirmed)
+        ):
+            return early_end
+        load = Load(plan, program=self._program, rest=None if continued is None else continued.rest)
+        if self._approach and continued is None:
+            starts = zip(machine.axes, executor.starts(load).tolist(), strict=True)
+            ordered_starts = sorted(
+                starts, key=lambda axis_start: machine.axes[axis_start[0]].kind != "linear"
+            )
+            if early_end := moved_in_turn(executor, machine, ordered_starts, conduct.watch):
+                return early_end
+        executor.run(load, hold=Hold.AT_ONCE, no_override=conduct.no_override)
+        while not executor.over:
+            executor.step()
+            conduct.watch(executor)
+        assert executor.ended is not None
+        return executor.ended
 
     def rest(self, plan: Plan, operation: int, *, at_rest: bool) -> Rest:  # noqa: ARG002  # it makes its own ramps
         """Return the rest of a job from an operation on; ``run`` sends its lines."""
         assert self._program is not None
-        found, self._program = rest_of_program(self._program, plan, operation)
+        rest, self._program = rest_of_program(self._program, plan, operation)
         self.sent = dict.fromkeys(self.sent, b"".join(self._program.lines))
-        return found
+        return rest
 
     def close(self) -> None:
         """End the connection, if there is one."""
@@ -301,9 +305,11 @@ def _by_nobody(machine: Machine) -> tuple[str, ...]:
     ]
     if not names:
         return ()
-    said = " and ".join(filter(None, (", ".join(names[:-1]), names[-1])))
-    are = "inputs {} are" if len(names) > 1 else "input {} is"
-    return (f"nobody is at the simulated machine: its {are.format(said)} on from the start",)
+    joined_names = " and ".join(filter(None, (", ".join(names[:-1]), names[-1])))
+    phrase = "inputs {} are" if len(names) > 1 else "input {} is"
+    return (
+        f"nobody is at the simulated machine: its {phrase.format(joined_names)} on from the start",
+    )
 
 
 def at_link(link: str, machine: Machine, speed: float) -> AtLink:
@@ -314,14 +320,14 @@ def at_link(link: str, machine: Machine, speed: float) -> AtLink:
     OptionError
         If there is no such link, or it cannot drive the machine.
     """
-    found = link_of(link, machine, speed, None)
+    checked_link = link_of(link, machine, speed, None)
     if link == "sim":
         return AtLink(notes=_by_nobody(machine))
     if link == SLOWER:
         slower = "where the computer is busy, the simulated machine goes slower"
         return AtLink(notes=(slower, *_by_nobody(machine)))
     if link.startswith("hal:"):
-        return AtLink(found.label, {}, (_NO_HOME,))
+        return AtLink(checked_link.label, {}, (_NO_HOME,))
     return AtLink(
         "",
         {"disable": _BY_ITSELF},
@@ -361,8 +367,8 @@ class RowsOperated(Executor):
     def rest(self, load: Load, operation: int, *, at_rest: bool) -> Load:
         """Return the rest of a load from an operation on."""
         commands = load.plan.commands
-        found = self._run_kind.rest(commands, self._machine, operation, at_rest=at_rest)
-        return replace(load, rest=found)
+        rest = self._run_kind.rest(commands, self._machine, operation, at_rest=at_rest)
+        return replace(load, rest=rest)
 
     def refuse(self, load: Load) -> None:
         """Refuse a plan that does not begin where the machine stands."""
@@ -403,9 +409,9 @@ def operated(
 
 
 def _rows(link: str, machine: Machine, speed: float) -> AbstractContextManager[Connection]:
-    at = np.zeros(len(machine.axes), dtype=np.int64)
+    start_counts = np.zeros(len(machine.axes), dtype=np.int64)
     if link.startswith("hal:"):
         assert speed == REAL_TIME
         assert link.removeprefix("hal:") in WHAT
-        return hal_link(machine, at, plant=link == "hal:plant")
-    return sim_link(machine, at, speed)
+        return hal_link(machine, start_counts, plant=link == "hal:plant")
+    return sim_link(machine, start_counts, speed)

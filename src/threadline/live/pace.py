@@ -53,19 +53,19 @@ class Pace:
         places
             (n,) number of rows of the table, whole or not, played up to the end of each tick.
         """
-        found: list[Event] = []
-        at = 0
-        while at < len(places):
-            expected = self._goes_on(places[at : at + _AT_ONCE])
-            if expected:
-                self._since += expected
+        events: list[Event] = []
+        index = 0
+        while index < len(places):
+            computed_count = self._goes_on(places[index : index + _AT_ONCE])
+            if computed_count:
+                self._since += computed_count
                 self._step = self._rate
-                self.place = float(places[at + expected - 1])
-                at += expected
+                self.place = float(places[index + computed_count - 1])
+                index += computed_count
                 continue
-            found.append(self._event(first + 1 + at, float(places[at])))
-            at += 1
-        return tuple(found)
+            events.append(self._event(first + 1 + index, float(places[index])))
+            index += 1
+        return tuple(events)
 
     def _goes_on(self, places: FloatArray) -> int:
         """Return how many of the next places a reader computes without an event."""
@@ -74,8 +74,8 @@ class Pace:
             differs = places != self.place + self._rate * ticks
         else:
             assert self._latest is not None
-            expected = self._latest + self._rate * (self._since + ticks)
-            differs = np.abs(places - expected) > _SAME
+            expected_places = self._latest + self._rate * (self._since + ticks)
+            differs = np.abs(places - expected_places) > _SAME
         return int(np.argmax(differs)) if differs.any() else len(places)
 
     def _event(self, tick: int, place: float) -> Event:

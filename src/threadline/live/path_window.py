@@ -51,8 +51,8 @@ class PathWindow:
             if block is None:
                 self._all = True
                 break
-            ends = self._travelled[-1] + np.cumsum(block.counts, axis=0)
-            self._travelled = np.concatenate([self._travelled, ends])
+            end_counts = self._travelled[-1] + np.cumsum(block.counts, axis=0)
+            self._travelled = np.concatenate([self._travelled, end_counts])
             self._operation = np.concatenate([self._operation, block.operation])
             self._events.extend(block.events)
         return self._last
@@ -68,12 +68,12 @@ class PathWindow:
 
     def forget(self, place: float) -> None:
         """Delete the rows before ``place``."""
-        gone = min(int(place) - self._first, len(self._operation))
-        if gone > 0:
+        row_count = min(int(place) - self._first, len(self._operation))
+        if row_count > 0:
             # Views: their block stays in memory until the next one is read, one block at most.
-            self._travelled = self._travelled[gone:]
-            self._operation = self._operation[gone:]
-            self._first += gone
+            self._travelled = self._travelled[row_count:]
+            self._operation = self._operation[row_count:]
+            self._first += row_count
 
     def counts(self, places: FloatArray) -> FloatArray:
         """Return (n, axes) counts from the start at (n,) places, not rounded.
@@ -90,23 +90,23 @@ class PathWindow:
         """Return the (n,) operations of the rows at (n,) places."""
         if not len(self._operation):
             return np.zeros(len(places), dtype=np.int64)
-        at = places.astype(np.int64) - self._first
+        indices = places.astype(np.int64) - self._first
         # As np.clip, which takes ten times as long for these few.
-        return self._operation[np.maximum(np.minimum(at, len(self._operation) - 1), 0)]
+        return self._operation[np.maximum(np.minimum(indices, len(self._operation) - 1), 0)]
 
     def next_rest(self, place: float) -> int | None:
         """Return the first row of the next rest from ``place`` on; None if none is known.
 
         In a rest no axis has a count for ``REST_S``.
         """
-        begin = max(int(place) - self._first, 0)
-        still = (np.diff(self._travelled[begin:], axis=0) == 0).all(axis=1)
-        if len(still) < self._rest_rows:
+        first_index = max(int(place) - self._first, 0)
+        is_still = (np.diff(self._travelled[first_index:], axis=0) == 0).all(axis=1)
+        if len(is_still) < self._rest_rows:
             return None
-        found = np.flatnonzero(
-            np.convolve(still, np.ones(self._rest_rows), "valid") >= self._rest_rows - 0.5
+        rest_starts = np.flatnonzero(
+            np.convolve(is_still, np.ones(self._rest_rows), "valid") >= self._rest_rows - 0.5
         )
-        return int(found[0]) + begin + self._first if len(found) else None
+        return int(rest_starts[0]) + first_index + self._first if len(rest_starts) else None
 
     def halt(self) -> Event | None:
         """Return the next stop or wait in the known rows that was not passed, or None."""
@@ -120,10 +120,10 @@ class PathWindow:
 
     def take_events(self, place: float) -> tuple[Event, ...]:
         """Return the events up to ``place``, without stops and waits, and remove them."""
-        due = [e for e in self._events if e.tick <= place and e.kind not in HALTS]
-        if due:
+        due_events = [e for e in self._events if e.tick <= place and e.kind not in HALTS]
+        if due_events:
             self._events = [e for e in self._events if e.tick > place or e.kind in HALTS]
-        return tuple(due)
+        return tuple(due_events)
 
     def put_back(self, events: Sequence[Event]) -> None:
         """Add events that ``take_events`` had removed."""
@@ -146,16 +146,16 @@ def _between(travelled: IntArray, first: int, places: FloatArray) -> FloatArray:
         (n,) places; places outside the known range are clamped to its ends.
     """
     rows = len(travelled) - 1
-    found = np.empty((len(places), travelled.shape[1]))
+    counts = np.empty((len(places), travelled.shape[1]))
     for i in range(len(places)):
-        at = min(max(places[i] - first, 0.0), float(rows))
-        low = min(int(at), max(rows - 1, 0))
+        offset = min(max(places[i] - first, 0.0), float(rows))
+        low = min(int(offset), max(rows - 1, 0))
         high = min(low + 1, rows)
-        share = at - low
+        fraction = offset - low
         for k in range(travelled.shape[1]):
-            begin = travelled[low, k]
-            found[i, k] = begin + (travelled[high, k] - begin) * share
-    return found
+            low_counts = travelled[low, k]
+            counts[i, k] = low_counts + (travelled[high, k] - low_counts) * fraction
+    return counts
 
 
 def rests_of(table: TickTable) -> IntArray:
@@ -163,10 +163,10 @@ def rests_of(table: TickTable) -> IntArray:
 
     In a rest no axis has a count for ``REST_S``. It reads the table once.
     """
-    still = [(block.counts == 0).all(axis=1) for block in table]
-    edges = np.diff(np.concatenate([[False], *still, [False]]).astype(np.int8))
-    found = np.stack([np.flatnonzero(edges > 0), np.flatnonzero(edges < 0)], axis=1)
-    return found[found[:, 1] - found[:, 0] >= rest_rows(table)]
+    still_blocks = [(block.counts == 0).all(axis=1) for block in table]
+    edges = np.diff(np.concatenate([[False], *still_blocks, [False]]).astype(np.int8))
+    rests = np.stack([np.flatnonzero(edges > 0), np.flatnonzero(edges < 0)], axis=1)
+    return rests[rests[:, 1] - rests[:, 0] >= rest_rows(table)]
 
 
 def rest_rows(table: TickTable) -> int:

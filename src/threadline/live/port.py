@@ -84,18 +84,18 @@ def host_and_port(address: str) -> tuple[str, int]:
     """
     host, _, port = address.rpartition(":")
     host = bare(host)
-    wrong = ""
+    problem = ""
     if ":" not in address:
-        wrong = "there is no colon between host and port"
+        problem = "there is no colon between host and port"
     elif not is_host(host):
-        wrong = f"{host[:60]!r} is not a host"
+        problem = f"{host[:60]!r} is not a host"
     elif not (port.isascii() and port.isdecimal() and len(port) <= _DIGITS):
-        wrong = f"{port[:20]!r} is not a port"
+        problem = f"{port[:20]!r} is not a port"
     elif not 1 <= int(port) <= MOST_PORT:
-        wrong = f"port {port} is not between 1 and {MOST_PORT}"
-    if wrong:
+        problem = f"port {port} is not between 1 and {MOST_PORT}"
+    if problem:
         raise OptionError(
-            f"{address[:60]!r} is not an address of a controller: {wrong}",
+            f"{address[:60]!r} is not an address of a controller: {problem}",
             remedy='Write it like "grbl:192.168.0.10:23" or "grbl:/dev/ttyUSB0".',
         )
     return host, int(port)
@@ -197,13 +197,13 @@ class Port:
 
     def receive_indented(self, timeout_s: float) -> str | None:
         """Return the next line with the spaces before it, which count in YAML; or None."""
-        until = clock_s() + timeout_s
+        until_s = clock_s() + timeout_s
         while not self._lines and not self.lost:
-            left = max(until - clock_s(), 0.0)
-            if not select.select([self._number], [], [], left)[0]:
+            left_s = max(until_s - clock_s(), 0.0)
+            if not select.select([self._number], [], [], left_s)[0]:
                 return None
             self._read()
-            if not self._lines and clock_s() >= until:  # data may never complete a line
+            if not self._lines and clock_s() >= until_s:  # data may never complete a line
                 return None
         if not self._lines:
             return None
@@ -215,25 +215,27 @@ class Port:
     def forget_reports(self) -> None:
         """Drop the status reports received so far: they are outdated."""
         while not self.lost and select.select([self._number], [], [], 0.0)[0]:
-            before = len(self._bytes), len(self._lines)
+            sizes_before = len(self._bytes), len(self._lines)
             self._read()
-            if len(self._lines) > _MOST_OLD or before == (len(self._bytes), len(self._lines)):
+            if len(self._lines) > _MOST_OLD or sizes_before == (len(self._bytes), len(self._lines)):
                 break
         self._lines = deque(line for line in self._lines if not line.startswith("<"))
 
     def _read(self) -> None:
         try:
-            more = os.read(self._number, _AT_ONCE)
+            received = os.read(self._number, _AT_ONCE)
         except BlockingIOError:
             return
         except OSError:
-            more = b""
-        if not more:
+            received = b""
+        if not received:
             self.lost = True
-        self._bytes += more
-        *whole, rest = self._bytes.split(b"\n")
-        self._bytes = bytearray(rest[:_LONGEST_LINE])
-        self._lines.extend(line.decode("latin-1").rstrip() for line in whole if line.strip())
+        self._bytes += received
+        *complete_lines, incomplete_line = self._bytes.split(b"\n")
+        self._bytes = bytearray(incomplete_line[:_LONGEST_LINE])
+        self._lines.extend(
+            line.decode("latin-1").rstrip() for line in complete_lines if line.strip()
+        )
 
     def close(self) -> None:
         """Close the port."""
@@ -251,30 +253,30 @@ def _serial(path: str, baud: int) -> int:
     import termios
     import tty
 
-    number = os.open(path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+    descriptor = os.open(path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
     try:
-        fcntl.flock(number, fcntl.LOCK_EX | fcntl.LOCK_NB)  # lines of two programs would mix
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)  # lines of two programs would mix
     except OSError as error:
-        os.close(number)
+        os.close(descriptor)
         raise OSError(error.errno, "another program has it") from error
     try:
-        tty.setraw(number)
-        mode = termios.tcgetattr(number)
-        known = getattr(termios, f"B{baud}", None)
-        mode[4] = mode[5] = termios.B115200 if known is None else known
+        tty.setraw(descriptor)
+        mode = termios.tcgetattr(descriptor)
+        baud_flag = getattr(termios, f"B{baud}", None)
+        mode[4] = mode[5] = termios.B115200 if baud_flag is None else baud_flag
         mode[2] |= termios.CLOCAL | termios.CREAD
         mode[2] &= ~termios.HUPCL  # closing it must not reset the controller
-        termios.tcsetattr(number, termios.TCSANOW, mode)
-        if known is None:  # Marlin's 250000 has no name: Linux takes it as a number
-            speeds = array.array("I", bytes(_TERMIOS2_BYTES))
-            fcntl.ioctl(number, _TCGETS2, speeds)
-            speeds[2] = speeds[2] & ~_CBAUD | _BOTHER
-            speeds[-2] = speeds[-1] = baud
-            fcntl.ioctl(number, _TCSETS2, speeds)
+        termios.tcsetattr(descriptor, termios.TCSANOW, mode)
+        if baud_flag is None:  # Marlin's 250000 has no name: Linux takes it as a number
+            termios2 = array.array("I", bytes(_TERMIOS2_BYTES))
+            fcntl.ioctl(descriptor, _TCGETS2, termios2)
+            termios2[2] = termios2[2] & ~_CBAUD | _BOTHER
+            termios2[-2] = termios2[-1] = baud
+            fcntl.ioctl(descriptor, _TCSETS2, termios2)
     except OSError as error:
-        os.close(number)
+        os.close(descriptor)
         raise OSError(error.errno, f"it does not take {baud} bits a second") from error
     except termios.error as error:
-        os.close(number)
+        os.close(descriptor)
         raise OSError(error.args[0], "it is not a serial line") from error
-    return number
+    return descriptor

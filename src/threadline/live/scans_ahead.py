@@ -134,32 +134,36 @@ class ScansAhead:
     def extend(self, until: int) -> Message:
         """Return the refill that lets the schedule go on until about scan ``until``."""
         schedule = self._schedule
-        goal = min(self._place + until - self._now, schedule.duration_ticks)
+        goal_place = min(self._place + until - self._now, schedule.duration_ticks)
         if self.to_rest:
-            at = np.searchsorted(self._rests, self._reach)
-            if at < len(self._rests):
-                goal = min(goal, int(self._rests[at]))
-        self._reach = max(goal, self._reach)
+            rest_index = np.searchsorted(self._rests, self._reach)
+            if rest_index < len(self._rests):
+                goal_place = min(goal_place, int(self._rests[rest_index]))
+        self._reach = max(goal_place, self._reach)
         self._ending = self._reach >= schedule.duration_ticks
-        rows = int(np.searchsorted(schedule.ticks, self._reach, side="right"))
-        waits = sum(event.tick <= self._reach for event in self._waits)
-        creeps = sum(creep.tick <= self._reach for creep in schedule.creeps)
-        sent = slice(self._rows, rows)
+        row_count = int(np.searchsorted(schedule.ticks, self._reach, side="right"))
+        wait_count = sum(event.tick <= self._reach for event in self._waits)
+        creep_count = sum(creep.tick <= self._reach for creep in schedule.creeps)
+        new_rows = slice(self._rows, row_count)
         head = {
             "after": self._rows,
             "reach": self._reach,
             "duration": schedule.duration_ticks if self._ending else None,
             "off": until,
             "last": self._ending,
-            "events": [event_row(event) for event in self._waits[self._sent_waits : waits]],
-            "creeps": [list(creep.row) for creep in schedule.creeps[self._sent_creeps : creeps]],
+            "events": [event_row(event) for event in self._waits[self._sent_waits : wait_count]],
+            "creeps": [
+                list(creep.row) for creep in schedule.creeps[self._sent_creeps : creep_count]
+            ],
         }
-        levels = schedule.levels[sent]
+        levels = schedule.levels[new_rows]
         self._check(levels)
         arrays = {
-            "ticks": schedule.ticks[sent], "levels": levels, "operation": schedule.operation[sent],
-        }  # fmt: skip
-        self._rows, self._sent_waits, self._sent_creeps = rows, waits, creeps
+            "ticks": schedule.ticks[new_rows],
+            "levels": levels,
+            "operation": schedule.operation[new_rows],
+        }
+        self._rows, self._sent_waits, self._sent_creeps = row_count, wait_count, creep_count
         self.end = until
         return Message("refill", head, arrays)
 
@@ -178,8 +182,10 @@ class ScansAhead:
         """
         names = list(self._machine.outputs)
         for name, cylinder in self._machine.cylinders.items():
-            both = [names.index(way.valve) for way in (cylinder.forward, cylinder.back)]
-            if both[0] != both[1] and levels[:, both].all(axis=1).any():
+            valve_columns = [
+                names.index(direction.valve) for direction in (cylinder.forward, cylinder.back)
+            ]
+            if valve_columns[0] != valve_columns[1] and levels[:, valve_columns].all(axis=1).any():
                 raise LimitError(
                     f"cylinder {name}: a row switches both of its valves on",
                     axis=name,
@@ -195,16 +201,16 @@ def _rests(machine: Machine, ticks: IntArray, levels: IntArray, operation: IntAr
 
     A shaped move switches off and on again within its operation, and does not rest there.
     """
-    working = [
+    working_columns = [
         k for k, output in enumerate(machine.outputs.values()) if output.kind not in _AT_REST
     ]
-    works = levels[:, working].max(axis=1, initial=0).tolist()
-    last = {int(op): k for k, op in enumerate(operation) if works[k]}
+    is_working = levels[:, working_columns].max(axis=1, initial=0).tolist()
+    last_working_row = {int(op): k for k, op in enumerate(operation) if is_working[k]}
     return np.array(
         [
             tick
             for k, tick in enumerate(ticks)
-            if not works[k] and last.get(int(operation[k]), -1) < k
+            if not is_working[k] and last_working_row.get(int(operation[k]), -1) < k
         ],
         dtype=np.int64,
     )

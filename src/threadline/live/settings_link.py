@@ -102,13 +102,13 @@ def ask_controller(address: str, baud: int | None = None) -> ControllerSettings:
     for speed in (baud,) if baud is not None else _BAUDS if serial else (BAUD,):
         port = Port(address, speed)
         try:
-            found = _asked(port, heard)
+            settings = _asked(port, heard)
         finally:
             port.close()
-        if found is not None:
-            return found
-    shown = next((line for line in heard if line.isprintable()), "")
-    banner = f", which says {shown[:60]!r}," if shown else ""
+        if settings is not None:
+            return settings
+    banner_line = next((line for line in heard if line.isprintable()), "")
+    banner = f", which says {banner_line[:60]!r}," if banner_line else ""
     speeds = "" if not serial or baud is not None else " Say its speed with --baud."
     raise LinkFaultError(
         f"the controller at {address[:60]!r}{banner} does not name its firmware in its answers to "
@@ -135,20 +135,20 @@ def _asked(port: Port, heard: list[str]) -> ControllerSettings | None:
     if version:
         if "fluidnc" in version.lower():
             return _settings(port, "fluidnc", version, b"$CD\n", [])
-        about = [line for line in lines if line.startswith("[")]
-        return _settings(port, "grbl", version, b"$$\n", about)
+        about_lines = [line for line in lines if line.startswith("[")]
+        return _settings(port, "grbl", version, b"$$\n", about_lines)
     heard += lines
     port.send(b"M115\n")
     heard += (lines := _answer(port))
     firmware = next((match for line in lines if (match := _FIRMWARE.search(line))), None)
     if firmware is None:
         return None
-    who = firmware.string.strip()[:120]
+    identity = firmware.string.strip()[:120]
     name = firmware[1].lower()
     if name == "marlin":
-        return _settings(port, "marlin", who, b"M503\n", [who])  # it tells the version
+        return _settings(port, "marlin", identity, b"M503\n", [identity])  # it tells the version
     if name == "reprapfirmware":
-        return _settings(port, "rrf", who, b"M503\n", [])
+        return _settings(port, "rrf", identity, b"M503\n", [])
     if name == KLIPPER:
         raise OptionError(
             "Klipper does not tell its settings over this line",
@@ -156,7 +156,7 @@ def _asked(port: Port, heard: list[str]) -> ControllerSettings | None:
             "ask its Moonraker: threadline connect http://HOST:7125.",
         )
     raise OptionError(
-        f"the controller says {who!r}, a firmware whose planner is not known here",
+        f"the controller says {identity!r}, a firmware whose planner is not known here",
         remedy="Write the machine file by hand: docs/machines.md says how.",
     )
 
@@ -167,9 +167,9 @@ def _settings(
     """Ask for the settings; return them, preceded by the lines ``about`` the controller."""
     port.send(question)
     lines = [line for line in _answer(port) if not _REPORT.match(line)]
-    refused = next((line for line in lines if _ERROR.match(line)), "")
-    if refused or not lines or _OK.match(lines[-1]) is None:
-        why = f"answered {refused[:60]!r}" if refused else "did not end its answer with ok"
+    error_line = next((line for line in lines if _ERROR.match(line)), "")
+    if error_line or not lines or _OK.match(lines[-1]) is None:
+        why = f"answered {error_line[:60]!r}" if error_line else "did not end its answer with ok"
         raise LinkFaultError(
             f"{identity[:60]!r} {why} when it was asked {question.decode().strip()}",
             remedy="Wait until the machine stands and no other program talks to it; ask again.",
@@ -187,19 +187,19 @@ def _answer(port: Port) -> list[str]:
     return lines
 
 
-def _lines_until(port: Port, silence_s: float, last: re.Pattern[str]) -> list[str]:
-    """Return lines up to one that matches ``last``, or until ``silence_s`` of silence.
+def _lines_until(port: Port, silence_s: float, last_pattern: re.Pattern[str]) -> list[str]:
+    """Return lines up to one that matches ``last_pattern``, or until ``silence_s`` of silence.
 
     It ends after ten times ``silence_s`` in any case: a controller may send reports for ever.
     """
     lines: list[str] = []
-    until = clock_s() + 10.0 * silence_s
-    while len(lines) < _MOST_LINES and clock_s() < until:
+    until_s = clock_s() + 10.0 * silence_s
+    while len(lines) < _MOST_LINES and clock_s() < until_s:
         line = port.receive_indented(silence_s)
         if line is None:
             break
         lines.append(line)
-        if last.match(line) is not None:
+        if last_pattern.match(line) is not None:
             break
     return lines
 
@@ -215,17 +215,17 @@ def _of_moonraker(address: str) -> ControllerSettings:
     try:
         with urllib.request.urlopen(  # noqa: S310 - the scheme was checked
             f"{parts.scheme}://{parts.netloc}{_QUERY}", timeout=_ANSWERS_S
-        ) as got:
-            content = json.loads(got.read(_MOST_BYTES))
+        ) as response:
+            content = json.loads(response.read(_MOST_BYTES))
         sections = content["result"]["status"]["configfile"]["config"]
         if not isinstance(sections, dict) or not sections:
             raise KeyError("config")
     except urllib.error.HTTPError as error:
-        trusted = error.code in (401, 403)
+        is_untrusted = error.code in (401, 403)
         raise LinkFaultError(
             f"{address[:60]!r} refused to tell the configuration: HTTP {error.code}",
             remedy="Add this computer to trusted_clients in moonraker.conf."
-            if trusted
+            if is_untrusted
             else "Look whether it is a Moonraker, and whether Klipper is ready.",
         ) from error
     except OSError as error:

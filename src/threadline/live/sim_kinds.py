@@ -102,28 +102,30 @@ class SimRows(SimMachine):
         counts, operation = message.arrays["counts"], message.arrays["operation"]
         if why := self._unfit(first, message.arrays["at"]):
             return why
-        kept = first - self.tick
-        rest = np.zeros((max(kept - len(self._rows), 0), len(self._position)), np.int64)
-        self._rows = np.concatenate([self._rows[:kept], rest, counts.astype(np.int64, copy=False)])
-        self._operations = np.concatenate(
-            [self._operations[:kept], rest[:, 0], operation.astype(np.int64, copy=False)]
+        kept_count = first - self.tick
+        rest_rows = np.zeros((max(kept_count - len(self._rows), 0), len(self._position)), np.int64)
+        self._rows = np.concatenate(
+            [self._rows[:kept_count], rest_rows, counts.astype(np.int64, copy=False)]
         )
-        places = self._places[:kept]
-        stands = places[-1] if len(places) else self._pace.place
+        self._operations = np.concatenate(
+            [self._operations[:kept_count], rest_rows[:, 0], operation.astype(np.int64, copy=False)]
+        )
+        places = self._places[:kept_count]
+        last_place = places[-1] if len(places) else self._pace.place
         # A jog has no places: it belongs to no plan.
-        behind = message.arrays.get("place", stands + np.arange(1.0, len(counts) + 1.0))
-        self._places = np.concatenate([places, np.full(len(rest), stands), behind])
+        new_places = message.arrays.get("place", last_place + np.arange(1.0, len(counts) + 1.0))
+        self._places = np.concatenate([places, np.full(len(rest_rows), last_place), new_places])
         self._events = deque(event for event in self._events if event.tick < first)
         self._events.extend(event_of(listed) for listed in message.head["events"])
         self._wanted_until = first + wanted
         self._last = bool(message.head["last"])
         return ""
 
-    def _unfit(self, first: int, at: FloatArray | IntArray) -> str:
+    def _unfit(self, first: int, position: FloatArray | IntArray) -> str:
         if first < self.tick:
             return "that tick is past"
-        stands = self._position + self._rows[: first - self.tick].sum(axis=0)
-        if not np.array_equal(stands, at):
+        end_position = self._position + self._rows[: first - self.tick].sum(axis=0)
+        if not np.array_equal(end_position, position):
             return "its rows do not go on from where those before them end"
         return ""
 
@@ -132,55 +134,59 @@ class SimRows(SimMachine):
         self._session.finish(ended, text)
 
     def _simulate(self, ticks: int) -> list[RecordingBlock]:
-        until = self.tick + ticks
-        parts: list[RecordingBlock] = []
-        while self.tick < until and not self._session.failed:
-            room = until - self.tick
-            parts.append(self._row_block(room) if len(self._rows) else self._stand(room))
+        end_tick = self.tick + ticks
+        blocks: list[RecordingBlock] = []
+        while self.tick < end_tick and not self._session.failed:
+            ticks_left = end_tick - self.tick
+            blocks.append(
+                self._row_block(ticks_left) if len(self._rows) else self._stand(ticks_left)
+            )
         if self._session.failed:  # its state is unknown
             self._hold_nothing()
-        return parts
+        return blocks
 
-    def _row_block(self, room: int) -> RecordingBlock:
-        """Play at most ``room`` of the held rows."""
-        n = min(room, len(self._rows))
+    def _row_block(self, max_rows: int) -> RecordingBlock:
+        """Play at most ``max_rows`` of the held rows."""
+        n = min(max_rows, len(self._rows))
         counts, self._rows = self._rows[:n], self._rows[n:]
         operation, self._operations = self._operations[:n], self._operations[n:]
         places, self._places = self._places[:n], self._places[n:]
         session, first = self._session, self.tick
         session.resume()
-        due = []
+        due_events = []
         while self._events and self._events[0].tick <= self.tick + n:
             event = self._events.popleft()
-            due.append(replace(event, tick=session.row + event.tick - self.tick))
-        rows = TickBlock(
-            first_tick=session.row, counts=counts, operation=operation, events=tuple(due)
+            due_events.append(replace(event, tick=session.row + event.tick - self.tick))
+        tick_block = TickBlock(
+            first_tick=session.row, counts=counts, operation=operation, events=tuple(due_events)
         )
         self._position = self._position + counts.sum(axis=0)
         if self.tick + n > self._wanted_until:
             self.starved = True
-        block = session.advance(rows)
+        block = session.advance(tick_block)
         return _telling(block, self._pace.played(first, places[: self.tick - first]))
 
-    def _stand(self, room: int) -> RecordingBlock:
+    def _stand(self, ticks: int) -> RecordingBlock:
         session, first = self._session, self.tick
-        stands = session.row > 0 and not self._last and session.ended is None
+        is_waiting = session.row > 0 and not self._last and session.ended is None
         if self._last:
             session.finish()
-        elif stands and not self.starved:
+        elif is_waiting and not self.starved:
             session.hold()
-        block = session.advance(ticks=room)
-        gone = self.tick - first
+        block = session.advance(ticks=ticks)
+        passed_ticks = self.tick - first
         if self._last:
-            return _telling(block, self._pace.ended(first, gone))
-        return _telling(block, self._pace.stood(first, gone) if stands else ())
+            return _telling(block, self._pace.ended(first, passed_ticks))
+        return _telling(block, self._pace.stood(first, passed_ticks) if is_waiting else ())
 
 
-def _telling(block: RecordingBlock, more: tuple[Event, ...]) -> RecordingBlock:
+def _telling(block: RecordingBlock, events: tuple[Event, ...]) -> RecordingBlock:
     """Return a block with more events, in the order of their ticks."""
-    if not more:
+    if not events:
         return block
-    return replace(block, events=tuple(sorted([*block.events, *more], key=lambda e: e.tick)))
+    return replace(
+        block, events=tuple(sorted([*block.events, *events], key=lambda event: event.tick))
+    )
 
 
 class SimScans(SimMachine):

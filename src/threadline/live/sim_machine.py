@@ -113,13 +113,13 @@ class SimFault:
 
 def _places(machine: Machine) -> dict[str, list[str]]:
     """Return the parts that each kind of fault can affect; not for faults of the whole machine."""
-    looped = [] if machine.takes_positions else list(machine.axes)
+    looped_axes = [] if machine.takes_positions else list(machine.axes)
     contacts = machine.contacts.items()
     return {
-        **dict.fromkeys(OF_AXES, looped),
+        **dict.fromkeys(OF_AXES, looped_axes),
         "switch-hit": list(machine.inputs),
         "stuck-contact": [name for name, contact in contacts if contact.cylinder],
-        **{k: [n for n, contact in contacts if contact.kind == k] for k in OF_GRIDS},
+        **{kind: [n for n, contact in contacts if contact.kind == kind] for kind in OF_GRIDS},
     }
 
 
@@ -131,32 +131,32 @@ def parse_fault(text: str, machine: Machine) -> SimFault:
     OptionError
         If there is no such fault, axis, switch or time.
     """
-    form = _FORM.fullmatch(text.strip())
-    if form is None:
+    match = _FORM.fullmatch(text.strip())
+    if match is None:
         raise OptionError(
             f"--inject {text[:40]!r} is no fault", remedy='Write it like "stuck-encoder:X@1.2 s".'
         )
-    kind, where, when = form.groups()
+    kind, where, when = match.groups()
     if kind not in KINDS:
         raise OptionError(f"there is no fault {kind[:40]!r}", remedy=nearest(kind, KINDS))
-    places = _places(machine)
-    known = places.get(kind)
-    if known is not None and not known:
+    parts_by_kind = _places(machine)
+    parts = parts_by_kind.get(kind)
+    if parts is not None and not parts:
         raise OptionError(
             f"--inject {kind}: {machine.name} has no part with this fault",
-            remedy=f"Use one of {', '.join([k for k in KINDS if places.get(k, True)])}.",
+            remedy=f"Use one of {', '.join([k for k in KINDS if parts_by_kind.get(k, True)])}.",
         )
-    if known is not None and kind not in OF_GRIDS and where is None:
+    if parts is not None and kind not in OF_GRIDS and where is None:
         raise OptionError(
             f"--inject {kind} does not say where",
-            remedy=f'Write "{kind}:{known[0]}@1.2 s"; {machine.name} has {", ".join(known)}.',
+            remedy=f'Write "{kind}:{parts[0]}@1.2 s"; {machine.name} has {", ".join(parts)}.',
         )
-    if known is not None and kind not in OF_GRIDS and where not in known:
+    if parts is not None and kind not in OF_GRIDS and where not in parts:
         raise OptionError(
             f"--inject {kind}: {machine.name} has no {where[:40]!r}",
-            remedy=f"It has {', '.join(known)}.",
+            remedy=f"It has {', '.join(parts)}.",
         )
-    if where and (known is None or kind in OF_GRIDS):
+    if where and (parts is None or kind in OF_GRIDS):
         raise OptionError(f"--inject {kind} takes no axis", remedy=f'Write "{kind}@1.2 s".')
     time_s = parse_number("--inject", when.strip(), "s", "1.2 s")
     if not 0.0 <= time_s <= _LATEST_S:
@@ -335,18 +335,18 @@ class SimMachine(ABC):
             self._report_all()
         if not self._unreported:
             self._since, self._late_by = self.tick, 0.0
-        before = self._urgent()
-        parts = self._simulate(ticks)
-        self._unreported.extend(parts)
+        urgent_before = self._urgent()
+        blocks = self._simulate(ticks)
+        self._unreported.extend(blocks)
         self._late_by = max(self._late_by, late_by)
         if (
             late_by > LATE
-            or not parts  # its session has failed
+            or not blocks  # its session has failed
             or self.tick - self._since >= self.report_ticks
             or self.silenced
             or (self.pressed and self._enabled)
-            or before != self._urgent()
-            or any(event.kind == "fault" for part in parts for event in part.events)
+            or urgent_before != self._urgent()
+            or any(event.kind == "fault" for block in blocks for event in block.events)
         ):
             self._report_now()
 
@@ -356,8 +356,8 @@ class SimMachine(ABC):
             self._report_now()
 
     def _report_now(self) -> None:
-        parts, self._unreported = self._unreported, []
-        self._report(self._since, parts, self._late_by)
+        blocks, self._unreported = self._unreported, []
+        self._report(self._since, blocks, self._late_by)
 
     def _say(self, kind: str, **head: Any) -> None:
         self._tell(Message(kind, head))
@@ -385,8 +385,8 @@ class SimMachine(ABC):
         # It is switched on at its home: there is nothing to search for.
         if self._enabled:
             self._homed, self.starved = True, False
-            stands = {"position": (self._start + self.position).tolist()}
-            self._tell(Message("homed", stands, self._at_home_samples()))
+            head = {"position": (self._start + self.position).tolist()}
+            self._tell(Message("homed", head, self._at_home_samples()))
         else:
             self._say("refused", what="home", why="the drives are off")
 
@@ -415,44 +415,46 @@ class SimMachine(ABC):
     def _leave(self, _message: Message) -> None:
         self.left = True
 
-    def _report(self, first: int, parts: list[RecordingBlock], late_by: float) -> None:
-        arrays = _joined(parts)
+    def _report(self, first: int, blocks: list[RecordingBlock], late_by: float) -> None:
+        arrays = _joined(blocks)
         clock = self.channels[0].clock
         per_tick = self._per_tick
-        sample = parts[0].first_tick[clock.name] if parts else ceil(first * per_tick)
+        sample = blocks[0].first_tick[clock.name] if blocks else ceil(first * per_tick)
         if self._fault is not None:
-            at = max(ceil(self._fault.tick * per_tick) - sample, 0)
-            self._fault.apply(at, arrays, self._machine, self._stuck)
-        late = self.tick - first if late_by > LATE else 0
-        events = [event_row(event) for part in parts for event in part.events]
+            first_changed = max(ceil(self._fault.tick * per_tick) - sample, 0)
+            self._fault.apply(first_changed, arrays, self._machine, self._stuck)
+        late_ticks = self.tick - first if late_by > LATE else 0
+        events = [event_row(event) for block in blocks for event in block.events]
         if self.pressed and self._enabled:
             # With the supply of the drives cut, the motion is not simulated any more.
             why = "the emergency stop is pressed"
             events.append(event_row(Event(tick=sample, kind="fault", operation=-1, name=why)))
             self._drop()
             self._enabled = self._homed = False
-        if late:
-            lateness = Event(tick=sample, kind="late", operation=-1, value=float(late * per_tick))
+        if late_ticks:
+            lateness = Event(
+                tick=sample, kind="late", operation=-1, value=float(late_ticks * per_tick)
+            )
             events.append(event_row(lateness))
         head = {
             "run": self._number, "tick": first, "sample": sample, "now": self.tick,
-            "held": self.held, "starved": self.starved, "late": late, "late_by": late_by,
+            "held": self.held, "starved": self.starved, "late": late_ticks, "late_by": late_by,
             "events": events, "position": self.position.tolist(), **self._extra_entries(),
         }  # fmt: skip
         self._tell(Message("report", head, arrays))
 
 
-def _joined(parts: list[RecordingBlock]) -> dict[str, FloatArray]:
+def _joined(blocks: list[RecordingBlock]) -> dict[str, FloatArray]:
     """Return the samples of consecutive blocks, in writable arrays."""
-    if len(parts) == 1:
+    if len(blocks) == 1:
         return {
             name: values
             if values.dtype == np.float64 and values.flags.writeable
             else np.array(values, np.float64)
-            for name, values in parts[0].samples.items()
+            for name, values in blocks[0].samples.items()
         }
-    names = parts[0].samples if parts else ()
+    names = blocks[0].samples if blocks else ()
     return {
-        name: np.concatenate([part.samples[name] for part in parts]).astype(np.float64)
+        name: np.concatenate([block.samples[name] for block in blocks]).astype(np.float64)
         for name in names
     }

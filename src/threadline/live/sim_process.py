@@ -87,8 +87,8 @@ def sim_link(
 
 def machine_main() -> None:
     """Serve as the simulated machine that the parent process describes through a pipe."""
-    end, words = machine_end()
-    serve(end, *words)
+    end, arguments = machine_end()
+    serve(end, *arguments)
 
 
 def serve(
@@ -123,7 +123,7 @@ def serve(
 
 def in_step(connection: Connection, simulated: SimMachine, group: int, period_s: float) -> None:
     """Play the ticks that each answer asks for, at least a group, at ``period_s`` for each."""
-    due = time.monotonic()
+    due_s = time.monotonic()
     while not (connection.lost or simulated.left):
         message = connection.receive()
         if message is None:
@@ -131,8 +131,8 @@ def in_step(connection: Connection, simulated: SimMachine, group: int, period_s:
         simulated.take(message)
         if simulated.begun and message.kind == "go":
             ticks = max(group, int(message.head.get("ticks", group)))
-            due = max(due + ticks * period_s, time.monotonic())
-            time.sleep(max(0.0, due - time.monotonic()))
+            due_s = max(due_s + ticks * period_s, time.monotonic())
+            time.sleep(max(0.0, due_s - time.monotonic()))
             simulated.play(ticks)
             if simulated.silenced:
                 connection.close()
@@ -142,33 +142,33 @@ def _in_real_time(
     connection: Connection, simulated: SimMachine, group: int, period_s: float
 ) -> None:
     """Play a group of ticks at each due instant."""
-    due: float | None = None
+    due_s: float | None = None
     while not (connection.lost or simulated.left):
-        wait_s = None if due is None else due - time.monotonic()
+        wait_s = None if due_s is None else due_s - time.monotonic()
         message: Message | None = connection.receive(wait_s)
         if message is not None and message.kind == "home" and simulated.standing:
             _home(connection, simulated, message)
         elif message is not None:
             simulated.take(message)
             # Empty rows are a motion too: to the present position, and over at once.
-            if due is None and simulated.begun and message.kind == "refill":
-                due = time.monotonic()
+            if due_s is None and simulated.begun and message.kind == "refill":
+                due_s = time.monotonic()
             continue
-        if due is None or connection.lost:
+        if due_s is None or connection.lost:
             continue
-        late_s = time.monotonic() - due
+        late_s = time.monotonic() - due_s
         late_by = late_s / (period_s * group)
         simulated.play(group, late_by)
         if simulated.silenced:
             connection.close()
         # Never caught up by bursts: after a late tick the others come a whole period apart.
-        due = (time.monotonic() if late_by > LATE else due) + group * period_s
+        due_s = (time.monotonic() if late_by > LATE else due_s) + group * period_s
 
 
 def _home(connection: Connection, simulated: SimMachine, request: Message) -> None:
     """Wait for the duration of homing, and accept a stop during it."""
-    until = time.monotonic() + HOMING_S
-    while (left_s := until - time.monotonic()) > 0.0 and not connection.lost:
+    until_s = time.monotonic() + HOMING_S
+    while (left_s := until_s - time.monotonic()) > 0.0 and not connection.lost:
         message = connection.receive(left_s)
         if message is not None and message.kind == "stop-home":
             connection.send(Message("refused", {"what": "home", "why": "it was stopped"}))

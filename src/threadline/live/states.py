@@ -136,14 +136,14 @@ def next_state(state: State, cause: Cause) -> State:
     CommandError
         If there is no such transition.
     """
-    found = TRANSITIONS.get((state, cause))
-    if found is None:
+    following_state = TRANSITIONS.get((state, cause))
+    if following_state is None:
         possible = sorted(c.value for s, c in TRANSITIONS if s is state and c in COMMANDS)
         raise CommandError(
             f"{cause.value!r} is not possible while the machine is {state.value}",
             remedy=f"Possible now: {', '.join(possible)}.",
         )
-    return found
+    return following_state
 
 
 class Desk:

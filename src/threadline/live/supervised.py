@@ -114,20 +114,24 @@ def interventions(plan: Plan, spec: Spec) -> Interventions:
     hold = Hold.AT_REST if hold_waits(plan, spec, leaves_m) else Hold.AT_ONCE
     spoiled = kind.spoiled_by_holds(plan, spec, hold) if hold is Hold.AT_ONCE else ()
     if spoiled:
-        shaken = kind.spoiled_by_holds(plan, spec, Hold.GENTLY)
-        hold = Hold.AT_REST if shaken else Hold.GENTLY
-    held = [
+        spoiled_gently = kind.spoiled_by_holds(plan, spec, Hold.GENTLY)
+        hold = Hold.AT_REST if spoiled_gently else Hold.GENTLY
+    hold_notes = [
         hold_words(plan, leaves_m, hold, spoiled=spoiled, at_once=at_once)
         for at_once in (False, True)
     ]
-    why = kind.override_spoils(plan, spec, leaves_m, hold)
-    more = f"the feed of this run cannot be overridden: {why}" if why else ""
-    notes, notes_at_once = ([note for note in (one, more) if note] for one in held)
+    spoil_reason = kind.override_spoils(plan, spec, leaves_m, hold)
+    override_note = (
+        f"the feed of this run cannot be overridden: {spoil_reason}" if spoil_reason else ""
+    )
+    notes, notes_at_once = (
+        [note for note in (hold_note, override_note) if note] for hold_note in hold_notes
+    )
     return Interventions(
         hold_deviation_m=leaves_m,
         hold=hold,
         spoiled_by_holds=spoiled,
-        no_override=kind.no_override or why,
+        no_override=kind.no_override or spoil_reason,
         notes=notes,
         notes_at_once=notes_at_once,
     )
@@ -147,19 +151,19 @@ def check_halts(plan: Plan, *, answered: bool) -> None:
         If a wait needs an input that the machine lacks, or nobody answers a stop; it names the
         line.
     """
-    known = {*plan.machine.inputs, *plan.machine.contacts}
+    known_inputs = {*plan.machine.inputs, *plan.machine.contacts}
     for event in run_kind_of(plan.machine).halts(plan.commands):
-        lacking = event.kind == "wait" and event.name not in known
-        if not lacking and (event.kind != "stop" or answered):
+        is_missing = event.kind == "wait" and event.name not in known_inputs
+        if not is_missing and (event.kind != "stop" or answered):
             continue
         line = plan.intent.lines_of(plan.job, [event.operation]).get(event.operation, 0)
         raise PlanError(
             f"after this it waits for the input {event.name!r}, which {plan.machine.name} lacks"
-            if lacking
+            if is_missing
             else "the program stops after this, and nobody is at the keyboard to resume",
             place=Place(plan.job.file, line),
             remedy="Take the wait out, or run it where there is such an input."
-            if lacking
+            if is_missing
             else "Run it from a terminal, or with --pass-stops.",
         )
 
@@ -260,9 +264,9 @@ def run_commands(
     tuple
         How the run ended, the reason, and the number of late ticks.
     """
-    again = conduct.again
-    if again is not None:
-        rest, commands = again.rest, again.rest.commands
+    continued = conduct.again
+    if continued is not None:
+        rest, commands = continued.rest, continued.rest.commands
         sink = ContinuedSink(sink, machine, rest.left_out, rest.operation)
     with link as connection:
         executor = Executor(connection, machine, desk, sink, speed=speed)
@@ -272,17 +276,17 @@ def run_commands(
         if executor.state is not State.IDLE:
             executor.close()
             return RunEnd.STOPPED, "stopped by the operator while it homed", 0
-        if again is not None and (
-            why := moved_to_begin(executor, machine, again, conduct.confirmed)
+        if continued is not None and (
+            early_end := moved_to_begin(executor, machine, continued, conduct.confirmed)
         ):
             executor.close()
-            return (*why, executor.late_ticks)
+            return (*early_end, executor.late_ticks)
         executor.start(
             commands,
             pass_stops=conduct.pass_stops,
             hold=conduct.hold,
             loads_follow=conduct.loads_follow,
-            from_rest=again is not None,
+            from_rest=continued is not None,
             no_override=conduct.no_override,
         )
         while not executor.over:
@@ -356,10 +360,10 @@ def moved_in_turn(
         Called after each step.
     """
     names = list(machine.axes)
-    for axis, to in ways:
-        if executor.stands[names.index(axis)] == to:
+    for axis, target in ways:
+        if executor.stands[names.index(axis)] == target:
             continue
-        executor.move(axis, to)
+        executor.move(axis, target)
         while not executor.over:
             if executor.state is State.JOGGING:
                 executor.renew()
@@ -375,13 +379,13 @@ def moved_in_turn(
 def _failed(proof: ProofFile) -> str:
     """Return the criteria that have not passed, each once: failed, then not measured."""
     criteria = proof.content["verdict"]["criteria"]
-    found = dict.fromkeys(
+    failed_criteria = dict.fromkeys(
         f"{criterion['name']} {criterion['axis'] or ''}".strip()
         for status in ("failed", "not-measured")
         for criterion in criteria
         if criterion["status"] == status and (status == "failed" or criterion["required"])
     )
-    return ", ".join([*found][:4]) or "its verdict is not passed"
+    return ", ".join([*failed_criteria][:4]) or "its verdict is not passed"
 
 
 class ExecutedLink(ABC):

@@ -147,8 +147,8 @@ class TurnsAhead:
         self._read(1)
         self._cut = False
         if self._waiting:
-            missing = tick * self._every - (self._waiting[0].begin + self._shift)
-            self._shift += max(-(-missing // self._every), 0) * self._every
+            missing_counts = tick * self._every - (self._waiting[0].begin + self._shift)
+            self._shift += max(-(-missing_counts // self._every), 0) * self._every
 
     def start_again(self) -> None:
         """Do nothing: a turn begins at rest."""
@@ -156,35 +156,35 @@ class TurnsAhead:
     def extend(self, until: int) -> Message:
         """Return the refill with all turns that begin before the sample ``until``."""
         self._before = None
-        sent: list[_Turn] = []
+        new_turns: list[_Turn] = []
         while self._read(1) and self._waiting[0].begin + self._shift < until * self._every:
-            sent.append(self._late(self._waiting.pop(0)))
+            new_turns.append(self._late(self._waiting.pop(0)))
         following = None
         if self._read(1):
             following = [self._waiting[0].begin + self._shift, self._waiting[0].window]
-        self._check(sent)
-        last = self._all and not self._waiting
+        self._check(new_turns)
+        is_last = self._all and not self._waiting
         self.end = until
-        if last:
+        if is_last:
             self.end = -(-(self._play.duration_ticks + self._shift) // self._every)
         arrays: dict[str, IntArray | FloatArray] = {
-            name: np.array([getattr(turn, name) for turn in sent], dtype=np.int64)
+            name: np.array([getattr(turn, name) for turn in new_turns], dtype=np.int64)
             for name in _COLUMNS
         }
         for name in ("table", "sign"):
-            arrays[name] = arrays[name].reshape(len(sent), len(self._play.axes))
+            arrays[name] = arrays[name].reshape(len(new_turns), len(self._play.axes))
         head: dict[str, Any] = {
             "after": self._number,
             "until": until,
-            "last": last,
+            "last": is_last,
             "following": following,
-            "events": [event_row(event) for turn in sent for event in turn.events],
+            "events": [event_row(event) for turn in new_turns for event in turn.events],
         }
         if not self._tables_sent:
             self._tell_tables(head, arrays)
             self._tables_sent = True
-        self._number += len(sent)
-        self._sent += sent
+        self._number += len(new_turns)
+        self._sent += new_turns
         return Message("refill", head, arrays)
 
     def cut(self, tick: int) -> Message:
@@ -193,11 +193,11 @@ class TurnsAhead:
             list(self._waiting), list(self._sent), self._number, self.end, self._stands.copy(),
         )  # fmt: skip
         self._cut = True
-        back = [turn for turn in self._sent if turn.begin >= tick * self._every]
-        self._sent = self._sent[: len(self._sent) - len(back)]
-        self._number -= len(back)
-        self._waiting = [self._unshifted(turn) for turn in back] + self._waiting
-        for turn in back:
+        withdrawn = [turn for turn in self._sent if turn.begin >= tick * self._every]
+        self._sent = self._sent[: len(self._sent) - len(withdrawn)]
+        self._number -= len(withdrawn)
+        self._waiting = [self._unshifted(turn) for turn in withdrawn] + self._waiting
+        for turn in withdrawn:
             self._stands -= turn.sign * self._lengths[turn.table]
         ends = [turn.begin + turn.window for turn in self._sent[-1:]]
         self.end = max(tick, *(-(-end // self._every) for end in ends), 0)
@@ -227,10 +227,12 @@ class TurnsAhead:
     def _unshifted(self, turn: _Turn) -> _Turn:
         return self._moved(turn, -self._shift)
 
-    def _moved(self, turn: _Turn, by: int) -> _Turn:
+    def _moved(self, turn: _Turn, shift: int) -> _Turn:
         """Return a turn that begins by some timer counts later, its events with it."""
-        begin = turn.begin + by
-        events = tuple(replace(event, tick=event.tick + by // self._every) for event in turn.events)
+        begin = turn.begin + shift
+        events = tuple(
+            replace(event, tick=event.tick + shift // self._every) for event in turn.events
+        )
         columns = {name: getattr(turn, name) for name in _COLUMNS[1:]}
         return _Turn(begin=begin, events=events, **columns)
 
@@ -257,34 +259,34 @@ class TurnsAhead:
         """
         for turn in turns:
             self._stands = self._stands + turn.sign * self._lengths[turn.table]
-            places = self._stands / self._play.steps_per_unit
-            for place, (name, axis) in zip(
-                places.tolist(), self._machine.axes.items(), strict=True
+            positions = self._stands / self._play.steps_per_unit
+            for position, (name, axis) in zip(
+                positions.tolist(), self._machine.axes.items(), strict=True
             ):
-                if axis.travel is None or axis.travel[0].si <= place <= axis.travel[1].si:
+                if axis.travel is None or axis.travel[0].si <= position <= axis.travel[1].si:
                     continue
-                end = axis.travel[0].si if place < axis.travel[0].si else axis.travel[1].si
+                limit = axis.travel[0].si if position < axis.travel[0].si else axis.travel[1].si
                 raise LimitError(
-                    f"axis {name}: a turn goes to {place:.4g}, beyond its travel, which ends at "
-                    f"{end:.4g}",
+                    f"axis {name}: a turn goes to {position:.4g}, beyond its travel, which ends at "
+                    f"{limit:.4g}",
                     axis=name,
                     quantity="position",
-                    value_si=place,
-                    limit_si=end,
+                    value_si=position,
+                    limit_si=limit,
                     remedy="Move the design, or the position where it starts.",
                 )
 
 
-def _turns_of(play: StepPlay, every: int) -> Iterator[_Turn]:
+def _turns_of(play: StepPlay, counts_per_sample: int) -> Iterator[_Turn]:
     """Yield the turns of a program; their events count in samples, as in a recording."""
     for block in play:
         for k in range(len(block)):
-            number = block.first_stitch + k
-            begin, last = int(block.begin[k]), k == len(block) - 1
-            due = [(event, begin) for event in block.events if event.tick == number]
-            if last:  # events due after its last turn
-                late = (event for event in block.events if event.tick > number)
-                due += [(event, play.duration_ticks) for event in late]
+            stitch = block.first_stitch + k
+            begin, is_last = int(block.begin[k]), k == len(block) - 1
+            due_events = [(event, begin) for event in block.events if event.tick == stitch]
+            if is_last:  # events due after its last turn
+                late_events = (event for event in block.events if event.tick > stitch)
+                due_events += [(event, play.duration_ticks) for event in late_events]
             yield _Turn(
                 begin=begin,
                 window=int(block.window[k]),
@@ -295,9 +297,9 @@ def _turns_of(play: StepPlay, every: int) -> Iterator[_Turn]:
                 operation=int(block.operation[k]),
                 events=tuple(
                     Event(
-                        tick=at // every, kind=event.kind, operation=event.operation,
-                        name=event.name,
+                        tick=begin_count // counts_per_sample, kind=event.kind,
+                        operation=event.operation, name=event.name,
                     )
-                    for event, at in due
+                    for event, begin_count in due_events
                 ),
             )  # fmt: skip

@@ -62,16 +62,17 @@ class Message:
 
     def encoded(self) -> bytes:
         """Return the bytes of the message."""
-        named: list[tuple[list[str], str, tuple[int, ...]]] = []  # arrays of one form together
+        # Arrays of one form together.
+        array_groups: list[tuple[list[str], str, tuple[int, ...]]] = []
         parts: list[bytes] = []
-        for name, a in self.arrays.items():
-            form = "<i8" if a.dtype.kind == "i" else "<f8"
-            if named and named[-1][1] == form and named[-1][2] == a.shape:
-                named[-1][0].append(name)
+        for name, array in self.arrays.items():
+            dtype = "<i8" if array.dtype.kind == "i" else "<f8"
+            if array_groups and array_groups[-1][1] == dtype and array_groups[-1][2] == array.shape:
+                array_groups[-1][0].append(name)
             else:
-                named.append(([name], form, a.shape))
-            parts.append((a if a.dtype == form else a.astype(form)).tobytes())
-        content = {"kind": self.kind, "head": dict(self.head), "arrays": named}
+                array_groups.append(([name], dtype, array.shape))
+            parts.append((array if array.dtype == dtype else array.astype(dtype)).tobytes())
+        content = {"kind": self.kind, "head": dict(self.head), "arrays": array_groups}
         head = _encode(content).encode()
         body = b"".join(parts)
         return _LENGTHS.pack(len(head) + len(body) + 4, len(head)) + head + body
@@ -91,21 +92,21 @@ def decoded(content: bytes) -> Message:
     """
     try:
         (size,) = struct.unpack_from("<I", content)
-        content_read = json.loads(content[4 : 4 + size])
-        kind, head, named = (
-            str(content_read["kind"]),
-            dict(content_read["head"]),
-            list(content_read["arrays"]),
+        message_fields = json.loads(content[4 : 4 + size])
+        kind, head, array_groups = (
+            str(message_fields["kind"]),
+            dict(message_fields["head"]),
+            list(message_fields["arrays"]),
         )
         arrays: dict[str, IntArray | FloatArray] = {}
-        at = 4 + size
-        for names, dtype, shape in named:
-            whole = [len(list(names)), *(int(n) for n in shape)]
-            if not shape or min(whole) < 0:
+        offset = 4 + size
+        for names, dtype, shape in array_groups:
+            full_shape = [len(list(names)), *(int(n) for n in shape)]
+            if not shape or min(full_shape) < 0:
                 raise _refuse(f"an array of shape {shape}")
-            values: Any = np.frombuffer(content, _TYPES[dtype], math.prod(whole), at)
-            arrays.update(zip(map(str, names), values.reshape(whole), strict=True))
-            at += values.nbytes
+            values: Any = np.frombuffer(content, _TYPES[dtype], math.prod(full_shape), offset)
+            arrays.update(zip(map(str, names), values.reshape(full_shape), strict=True))
+            offset += values.nbytes
     except (
         ArithmeticError,
         ValueError,
@@ -115,8 +116,8 @@ def decoded(content: bytes) -> Message:
         RecursionError,
     ) as error:
         raise _refuse(str(error)[:80] or type(error).__name__) from error
-    if at != len(content):
-        raise _refuse(f"{len(content) - at} bytes are left over")
+    if offset != len(content):
+        raise _refuse(f"{len(content) - offset} bytes are left over")
     return Message(kind, head, arrays)
 
 
@@ -206,20 +207,20 @@ class Connection:
             if self.lost or not self._readable(timeout_s):
                 return None
             try:
-                more = self._socket.recv(_AT_ONCE)
+                received = self._socket.recv(_AT_ONCE)
             except OSError:
-                more = b""
-            if not more:
+                received = b""
+            if not received:
                 self.lost = True
-            self._bytes += more
+            self._bytes += received
         length = self._length()
         content = bytes(self._bytes[4 : 4 + length])
         del self._bytes[: 4 + length]
         return decoded(content)
 
     def _readable(self, timeout_s: float | None) -> bool:
-        waited = None if timeout_s is None else max(timeout_s, 0.0)
-        return bool(select.select([self._socket], [], [], waited)[0])
+        wait_s = None if timeout_s is None else max(timeout_s, 0.0)
+        return bool(select.select([self._socket], [], [], wait_s)[0])
 
     def close(self) -> None:
         """Close the socket; a thread that waits in ``receive`` is woken."""

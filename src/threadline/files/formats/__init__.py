@@ -32,15 +32,16 @@ _TABLES: Mapping[str, tuple[str, str]] = {
 def _of_recordings(verb: str, ending: str) -> Callable[..., Any]:
     """Return the reader or writer of a format, after importing its module."""
     name = _RECORDINGS[ending]
-    found: Callable[..., Any] = getattr(import_module(f"{__name__}.{name}"), f"{verb}_{name}")
-    return found
+    function: Callable[..., Any] = getattr(import_module(f"{__name__}.{name}"), f"{verb}_{name}")
+    return function
 
 
-def _ending(path: Path, among: Mapping[str, object], what: str) -> str:
+def _ending(path: Path, formats: Mapping[str, object], what: str) -> str:
     ending = path.suffix.lower()
-    if ending not in among:
+    if ending not in formats:
         raise RecordingError(
-            f"{path.name[:80]!r} has no extension of a {what}", remedy=f"Known: {', '.join(among)}."
+            f"{path.name[:80]!r} has no extension of a {what}",
+            remedy=f"Known: {', '.join(formats)}.",
         )
     return ending
 
@@ -56,8 +57,8 @@ def read_recording(path: str | Path) -> Recording:
     path = Path(path)
     with clear_errors(path):
         refuse_special(path)
-        found: Recording = _of_recordings("read", _ending(path, _RECORDINGS, "recording"))(path)
-        return found
+        recording: Recording = _of_recordings("read", _ending(path, _RECORDINGS, "recording"))(path)
+        return recording
 
 
 def write_recording(
@@ -84,8 +85,8 @@ def write_recording(
     """
     path = Path(path)
     ending = _ending(path, _RECORDINGS, "recording")
-    of_plot = {"every": plot_every} if ending == ".plt" else {}
-    written: Written = _of_recordings("write", ending)(recording, path, **of_plot)
+    plot_options = {"every": plot_every} if ending == ".plt" else {}
+    written: Written = _of_recordings("write", ending)(recording, path, **plot_options)
     return written
 
 
@@ -101,5 +102,5 @@ def read_table(path: str | Path) -> TickTable:
     with clear_errors(path):
         refuse_special(path)
         module, reader = _TABLES[_ending(path, _TABLES, "tick table")]
-        found: TickTable = getattr(import_module(f"{__name__}.{module}"), reader)(path)
-        return found
+        table: TickTable = getattr(import_module(f"{__name__}.{module}"), reader)(path)
+        return table

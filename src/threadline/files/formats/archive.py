@@ -95,8 +95,8 @@ class ColumnSpool:
                 spool.seek(0)
                 with archive.open(_info(f"{name}.npy"), "w", force_zip64=True) as member:
                     npy.write_array_header_2_0(member, header)
-                    while part := spool.read(_COPY_BYTES):
-                        member.write(part)
+                    while chunk := spool.read(_COPY_BYTES):
+                        member.write(chunk)
 
 
 def _info(name: str) -> zipfile.ZipInfo:
@@ -161,9 +161,11 @@ class ColumnArchive:
         RecordingError
             If a checksum is wrong.
         """
-        wrong = self._archive.testzip()
-        if wrong is not None:
-            raise self._refuse(f"the file is damaged: the checksum of {wrong[:60]!r} is wrong")
+        damaged_name = self._archive.testzip()
+        if damaged_name is not None:
+            raise self._refuse(
+                f"the file is damaged: the checksum of {damaged_name[:60]!r} is wrong"
+            )
 
     def meta(self) -> Any:
         """Return the description.
@@ -198,10 +200,10 @@ class ColumnArchive:
         except KeyError as error:
             raise self._refuse(f"the archive has no column {name!r}") from error
         member = self._stack.enter_context(self._archive.open(info))
-        found, fortran, shape = self._header(member, name)
+        stored_dtype, fortran, shape = self._header(member, name)
         expected = repr(npy.dtype_to_descr(np.dtype(dtype)))
-        if found != expected:
-            raise self._refuse(f"column {name!r} holds {found}, expected {expected}")
+        if stored_dtype != expected:
+            raise self._refuse(f"column {name!r} holds {stored_dtype}, expected {expected}")
         if fortran or len(shape) != 1 + len(width) or shape[1:] != width:
             raise self._refuse(f"column {name!r} has shape {shape}, expected (n, {width})")
         row_bytes = np.dtype(dtype).itemsize * int(np.prod(width, dtype=np.int64))

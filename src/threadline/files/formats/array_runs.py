@@ -63,31 +63,35 @@ def runs(counts: IntArray, marks: IntArray) -> tuple[IntArray, IntArray, IntArra
         (k,) first row and (k,) number of rows of each run, and (k, axes) phases.
     """
     rows, axes = counts.shape
-    begins = np.empty(rows, np.int64)
-    spans = np.empty(rows, np.int64)
+    run_begins = np.empty(rows, np.int64)
+    run_lengths = np.empty(rows, np.int64)
     phases = np.empty((rows, axes), np.int64)
-    trial = np.empty(axes, np.int64)
-    found = 0
+    trial_phases = np.empty(axes, np.int64)
+    run_count = 0
     for m in range(len(marks) - 1):
         begin, end = marks[m], marks[m + 1]
-        whole = True
+        try_whole = True
         while begin < end:
-            span = end - begin
-            if not (whole and _fits(counts, begin, span, trial)):
-                whole = False
-                span = 1
+            length = end - begin
+            if not (try_whole and _fits(counts, begin, length, trial_phases)):
+                try_whole = False
+                length = 1
                 step = 1
-                while begin + span + step <= end and _fits(counts, begin, span + step, trial):
-                    span += step
+                while begin + length + step <= end and _fits(
+                    counts, begin, length + step, trial_phases
+                ):
+                    length += step
                     step *= 2
                 while step > 0:
-                    if begin + span + step <= end and _fits(counts, begin, span + step, trial):
-                        span += step
+                    if begin + length + step <= end and _fits(
+                        counts, begin, length + step, trial_phases
+                    ):
+                        length += step
                     step //= 2
-                _fits(counts, begin, span, trial)
-            begins[found], spans[found] = begin, span
+                _fits(counts, begin, length, trial_phases)
+            run_begins[run_count], run_lengths[run_count] = begin, length
             for axis in range(axes):  # numba takes seconds to compile an assignment of a row
-                phases[found, axis] = trial[axis]
-            found += 1
-            begin += span
-    return begins[:found], spans[:found], phases[:found]
+                phases[run_count, axis] = trial_phases[axis]
+            run_count += 1
+            begin += length
+    return run_begins[:run_count], run_lengths[:run_count], phases[:run_count]

@@ -107,22 +107,22 @@ def parse_column(text: str, place: Place) -> Column:
     if _SENSED.fullmatch(name):
         units = units_of(ChannelKind.SENSOR)
         factor = _factor(name, unit, units, place)
-        si = next(u for u in units if same_dimension(unit, u))
-        return Column(name, ChannelKind.SENSOR, "", si, factor)
+        si_unit = next(u for u in units if same_dimension(unit, u))
+        return Column(name, ChannelKind.SENSOR, "", si_unit, factor)
     axis, dot, kind_name = name.partition(".")
-    known = [f"{axis}.{kind.value}" for kind in _PER_AXIS]
-    if axis not in AXES or (dot and name not in known):
-        among = known if axis in AXES else [TIME, *AXES, "operation", "tension"]
+    axis_columns = [f"{axis}.{kind.value}" for kind in _PER_AXIS]
+    if axis not in AXES or (dot and name not in axis_columns):
+        known_columns = axis_columns if axis in AXES else [TIME, *AXES, "operation", "tension"]
         raise RecordingError(
             f"unknown column {name[:60]!r}",
             place=place,
-            remedy=f"{nearest(name, among)} Remove columns that are not to be judged.",
+            remedy=f"{nearest(name, known_columns)} Remove columns that are not to be judged.",
         )
     kind = ChannelKind(kind_name) if dot else ChannelKind.MEASURED
     units = units_of(kind)
     factor = _factor(name, unit, units, place)
-    si = next(u for u in units if same_dimension(unit, u))
-    return Column(f"{axis}.{kind.value}", kind, axis, si, factor)
+    si_unit = next(u for u in units if same_dimension(unit, u))
+    return Column(f"{axis}.{kind.value}", kind, axis, si_unit, factor)
 
 
 def _factor(name: str, unit: str | None, units: tuple[str, ...], place: Place) -> float:
@@ -135,9 +135,9 @@ def _factor(name: str, unit: str | None, units: tuple[str, ...], place: Place) -
             return unit_factor(unit, target)
         except UnitError:
             continue
-    wanted = " or ".join(units)
+    unit_names = " or ".join(units)
     raise RecordingError(
-        f"column {name!r} is in {unit[:20]!r}, which is not a unit like {wanted}",
+        f"column {name!r} is in {unit[:20]!r}, which is not a unit like {unit_names}",
         place=place,
         remedy=remedy,
     )
@@ -364,39 +364,39 @@ def find_grid(times_s: Iterable[tuple[int, float]], path: str) -> Grid:
         If there are fewer than two rows, the time does not increase, rows are missing, or the first
         instant is negative or between two periods.
     """
-    rows, start, last = 0, 0.0, 0.0
-    widest, begin, line = 0.0, 0.0, 0
+    rows, start_s, last_s = 0, 0.0, 0.0
+    widest_s, gap_begin_s, gap_line = 0.0, 0.0, 0
     for number, time_s in times_s:
-        if rows and time_s <= last:
+        if rows and time_s <= last_s:
             raise RecordingError(
-                f"time goes from {last:.9g} s to {time_s:.9g} s, it must increase",
+                f"time goes from {last_s:.9g} s to {time_s:.9g} s, it must increase",
                 place=Place(path, number),
                 remedy="Sort the rows and remove duplicates.",
             )
         if not rows:
-            start = time_s
-        elif time_s - last > widest:
-            widest, begin, line = time_s - last, last, number
-        rows, last = rows + 1, time_s
+            start_s = time_s
+        elif time_s - last_s > widest_s:
+            widest_s, gap_begin_s, gap_line = time_s - last_s, last_s, number
+        rows, last_s = rows + 1, time_s
     if rows < 2:
         raise RecordingError(
             f"the trace has {rows} row(s), at least 2 are needed", place=Place(path)
         )
-    mean_s = (last - start) / (rows - 1)
-    if widest > 1.5 * mean_s:
+    mean_s = (last_s - start_s) / (rows - 1)
+    if widest_s > 1.5 * mean_s:
         raise RecordingError(
-            f"rows are missing from {begin:.9g} to {begin + widest:.9g} s, where rows are "
-            f"{mean_s:.3g} s apart on average",
-            place=Place(path, line),
+            f"rows are missing from {gap_begin_s:.9g} to {gap_begin_s + widest_s:.9g} s, where "
+            f"rows are {mean_s:.3g} s apart on average",
+            place=Place(path, gap_line),
             remedy="Record again without gaps, or give the part before or after it.",
         )
     # The grid may deviate from the last instant by a thousandth of the allowed jitter.
     slack = Fraction(JITTER * mean_s / 1000.0) / (rows - 1)
     period_s = simplest_between(Fraction(mean_s) - slack, Fraction(mean_s) + slack)
-    first = round(Fraction(start) / period_s)
-    if first < 0 or abs(Fraction(start) / period_s - first) > JITTER:
+    first = round(Fraction(start_s) / period_s)
+    if first < 0 or abs(Fraction(start_s) / period_s - first) > JITTER:
         raise RecordingError(
-            f"the trace begins at {start:.9g} s, which is not a whole number of periods "
+            f"the trace begins at {start_s:.9g} s, which is not a whole number of periods "
             f"of {float(period_s):.9g} s after 0",
             place=Place(path),
             remedy="Let time begin at 0, where the job begins.",
@@ -430,12 +430,12 @@ def simplest_between(low: Fraction, high: Fraction) -> Fraction:
     """
     terms = []
     while True:
-        whole = floor(low)
-        if whole == low or whole + 1 <= high:
-            terms.append(whole if whole == low else whole + 1)
+        integer_part = floor(low)
+        if integer_part == low or integer_part + 1 <= high:
+            terms.append(integer_part if integer_part == low else integer_part + 1)
             break
-        terms.append(whole)
-        low, high = 1 / (high - whole), 1 / (low - whole)
+        terms.append(integer_part)
+        low, high = 1 / (high - integer_part), 1 / (low - integer_part)
     result = Fraction(terms.pop())
     while terms:
         result = terms.pop() + 1 / result

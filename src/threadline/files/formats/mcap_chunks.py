@@ -61,13 +61,13 @@ class ChunkedMessages:
             id=_ID, topic=topic, message_encoding=encoding, metadata={}, schema_id=_ID
         )
         self._index = array("Q")  # time, first byte and length of each chunk
-        head, described = RecordBuilder(), RecordBuilder()
-        Header(profile, library).write(head)
+        head_builder, schema_builder = RecordBuilder(), RecordBuilder()
+        Header(profile, library).write(head_builder)
         for record in (self._schema, self._channel):
-            record.write(described)
-        self._before: bytes = _taken(described)  # bytes before the first message, in its chunk
+            record.write(schema_builder)
+        self._before: bytes = _taken(schema_builder)  # bytes before the first message, in its chunk
         self._put(MAGIC)
-        self._put(_taken(head))
+        self._put(_taken(head_builder))
 
     def write(self, at_ns: int, data: bytes) -> None:
         """Write a message with its time."""
@@ -84,10 +84,10 @@ class ChunkedMessages:
     def finish(self) -> None:
         """Write the end of the data, the index of the chunks, and the end of the file."""
         self._put(_DATA_END.pack(Opcode.DATA_END, 4, self._crc))
-        begin = self._written
+        summary_begin = self._written
         summary, offsets = RecordBuilder(), RecordBuilder()
         times = self._index[0::3]
-        counted = Statistics(
+        statistics = Statistics(
             attachment_count=0,
             channel_count=1,
             channel_message_counts={_ID: len(times)} if times else {},
@@ -101,19 +101,21 @@ class ChunkedMessages:
         groups = (
             (Opcode.SCHEMA, [self._schema]),
             (Opcode.CHANNEL, [self._channel]),
-            (Opcode.STATISTICS, [counted]),
+            (Opcode.STATISTICS, [statistics]),
             (Opcode.CHUNK_INDEX, map(self._chunk, range(len(times)))),
         )
-        for kind, found in groups:
-            first = summary.count
-            for record in found:
+        for kind, group_records in groups:
+            group_begin = summary.count
+            for record in group_records:
                 record.write(summary)
             SummaryOffset(
-                group_opcode=kind, group_start=begin + first, group_length=summary.count - first
+                group_opcode=kind,
+                group_start=summary_begin + group_begin,
+                group_length=summary.count - group_begin,
             ).write(offsets)
-        offset_begin = begin + summary.count
+        offset_begin = summary_begin + summary.count
         content = _taken(summary) + _taken(offsets)
-        footer = _FOOTER.pack(Opcode.FOOTER, _FOOTER_BYTES, begin, offset_begin)
+        footer = _FOOTER.pack(Opcode.FOOTER, _FOOTER_BYTES, summary_begin, offset_begin)
         crc = zlib.crc32(footer, zlib.crc32(content))
         self._file.write(content + footer + struct.pack("<I", crc) + MAGIC)
 
@@ -140,5 +142,5 @@ class ChunkedMessages:
 
 def _taken(records: RecordBuilder) -> bytes:
     """Return the written bytes, and begin again."""
-    found: bytes = records.end()  # type: ignore[no-untyped-call]  # the library leaves out "-> bytes"
-    return found
+    content: bytes = records.end()  # type: ignore[no-untyped-call]  # the library leaves out "-> bytes"
+    return content

@@ -75,10 +75,10 @@ def write_plt(
             f"the recording has no {kind.value} position, which .plt needs",
             remedy="Write it as .csv or .npz.",
         )
-    strange = [c for c in channels if c.unit not in _UNITS]
-    if strange:
+    wrong_unit = [c for c in channels if c.unit not in _UNITS]
+    if wrong_unit:
         raise RecordingError(
-            f"channel {strange[0].name!r} is in {strange[0].unit!r}, not in m or rad"
+            f"channel {wrong_unit[0].name!r} is in {wrong_unit[0].unit!r}, not in m or rad"
         )
     clock, stride = channels[0].clock, channels[0].stride
     if any((c.clock, c.stride) != (clock, stride) for c in channels):
@@ -89,19 +89,19 @@ def write_plt(
             f"a line every {every} ticks is impossible: samples are {stride} ticks apart",
             remedy=f"Give a multiple of {stride}.",
         )
-    left = limit_lines
-    cut = False
+    lines_left = limit_lines
+    was_cut = False
     with atomic_file(path) as file:
         heads = [f"{c.axis} [{_UNITS[c.unit]}]" for c in channels]
         rate = f"every {every} ticks of {_period_text(clock.period_s)}"
         file.write(("\t".join([*heads, rate]) + "\n").encode())
         for rows in _rows(recording, channels, every):
-            kept = rows if left is None else rows[:left]
-            lines = ["\t".join(f"{v:.4f}" for v in row) + "\n" for row in kept.tolist()]
+            kept_rows = rows if lines_left is None else rows[:lines_left]
+            lines = ["\t".join(f"{v:.4f}" for v in row) + "\n" for row in kept_rows.tolist()]
             file.write("".join(lines).encode())
-            cut = cut or len(kept) < len(rows)
-            left = None if left is None else left - len(kept)
-    warnings = (f"{path.name} was cut after {limit_lines} lines",) if cut else ()
+            was_cut = was_cut or len(kept_rows) < len(rows)
+            lines_left = None if lines_left is None else lines_left - len(kept_rows)
+    warnings = (f"{path.name} was cut after {limit_lines} lines",) if was_cut else ()
     return written(path, warnings)
 
 
@@ -119,18 +119,18 @@ def _period_text(period_s: Fraction) -> str:
 def _rows(recording: Recording, channels: list[Channel], every: int) -> Iterator[FloatArray]:
     clock, stride = channels[0].clock, channels[0].stride
     factors = np.array([unit_factor(c.unit, _UNITS[c.unit]) for c in channels])
-    expected = 0
+    expected_tick = 0
     for block in recording:
         first = block.first_tick[clock.name]
         samples = np.column_stack([block.samples[c.name] for c in channels])
         if not len(samples):
             continue
-        if first != expected:
+        if first != expected_tick:
             raise RecordingError(
-                f"the recording has a gap between tick {expected} and tick {first}",
+                f"the recording has a gap between tick {expected_tick} and tick {first}",
                 remedy="Write it as .npz.",
             )
-        expected = first + stride * len(samples)
+        expected_tick = first + stride * len(samples)
         yield samples[(-first % every) // stride :: every // stride] * factors
 
 
@@ -197,9 +197,9 @@ def _period(text: str, place: Place) -> Fraction:
 
 
 def _blocks(
-    known: KnownFile, channels: tuple[Channel, ...], factors: FloatArray
+    known_file: KnownFile, channels: tuple[Channel, ...], factors: FloatArray
 ) -> Iterator[RecordingBlock]:
-    path, clock, stride = known.path, channels[0].clock, channels[0].stride
+    path, clock, stride = known_file.path, channels[0].clock, channels[0].stride
     first = 0
     rows: list[list[float]] = []
 
@@ -208,7 +208,7 @@ def _blocks(
         samples = {c.name: values[:, k].copy() for k, c in enumerate(channels)}
         return RecordingBlock(first_tick={clock.name: first}, samples=samples)
 
-    with reading(known):
+    with reading(known_file):
         for number, line in text_lines(path):
             if number == 1:
                 continue

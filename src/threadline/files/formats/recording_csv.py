@@ -75,20 +75,21 @@ def write_recording_csv(recording: Recording, path: Path) -> Written:
     with atomic_file(path) as file:
         for line in meta_lines(TITLE, recording_meta(recording)):
             file.write(f"{line}\n".encode())
-        heads = [_TIME_COLUMN, *map(_head, channels), _EVENTS]
-        file.write((",".join(heads) + "\n").encode())
+        headings = [_TIME_COLUMN, *map(_head, channels), _EVENTS]
+        file.write((",".join(headings) + "\n").encode())
         rows = 0
-        expected: int | None = None
+        expected_tick: int | None = None
         for block in recording:
             tick = block.first_tick[clock.name]
-            parts = [block.samples[c.name] for c in channels]
-            if len({len(part) for part in parts}) != 1 or expected not in {None, tick}:
+            arrays = [block.samples[c.name] for c in channels]
+            if len({len(array) for array in arrays}) != 1 or expected_tick not in {None, tick}:
                 raise RecordingError(
-                    f"the recording has a gap at tick {expected if expected is not None else tick}",
+                    "the recording has a gap at tick "
+                    f"{expected_tick if expected_tick is not None else tick}",
                     remedy="Write it as .npz.",
                 )
-            times = clock.times_s(tick, len(parts[0]), stride).tolist()
-            columns = [part.tolist() for part in parts]
+            times = clock.times_s(tick, len(arrays[0]), stride).tolist()
+            columns = [array.tolist() for array in arrays]
             cell = events_cell(block.events, ticks=True)
             if cell and not times:
                 raise RecordingError("a block without samples has events; write it as .npz")
@@ -96,7 +97,7 @@ def write_recording_csv(recording: Recording, path: Path) -> Written:
                 file.write((",".join(map(repr, row)) + f",{cell}\n").encode())
                 cell = ""
             rows += len(times)
-            expected = tick + stride * len(times)
+            expected_tick = tick + stride * len(times)
         file.write(f"{END}{rows}\n".encode())
     return written(path)
 
@@ -119,27 +120,27 @@ def read_recording_csv(path: Path) -> Recording:
         If the file is neither a recording nor such a trace; names the line.
     """
     with clear_errors(path):
-        own = next(text_lines(path), (1, ""))[1] == f"# threadline {TITLE}"
-        recording = _read_native(path) if own else _foreign(path)
+        is_native = next(text_lines(path), (1, ""))[1] == f"# threadline {TITLE}"
+        recording = _read_native(path) if is_native else _foreign(path)
         for _ in recording:
             pass  # read every line now, so that a wrong line is found before the recording is used
     return recording
 
 
 def _read_native(path: Path) -> Recording:
-    head: list[tuple[int, str]] = []
+    header_lines: list[tuple[int, str]] = []
 
     def is_comment(numbered: tuple[int, str]) -> bool:
         if not numbered[1].startswith("#"):
-            head.append(numbered)
-        return not head
+            header_lines.append(numbered)
+        return not header_lines
 
     lines = text_lines(path)
     next(lines)
     meta = parse_meta_lines(takewhile(is_comment, lines), path)
-    if not head:
+    if not header_lines:
         raise RecordingError("the file ends before its columns", place=Place(str(path)))
-    number, text = head[0]
+    number, text = header_lines[0]
     recording = recording_from(meta, path, _native_blocks, number)
     channels = recording.channels
     place = Place(str(path), number)
@@ -154,7 +155,7 @@ def _read_native(path: Path) -> Recording:
 
 
 def _native_blocks(
-    known: KnownFile, channels: tuple[Channel, ...], head: int
+    known_file: KnownFile, channels: tuple[Channel, ...], head_line: int
 ) -> Iterator[RecordingBlock]:
     layout = _Layout(
         separator=",",
@@ -162,7 +163,7 @@ def _native_blocks(
         order=tuple(range(len(channels) + 1)),
         own=True,
     )
-    return _blocks(known, channels, head, layout)
+    return _blocks(known_file, channels, head_line, layout)
 
 
 def _foreign(path: Path) -> Recording:
@@ -185,18 +186,18 @@ def _foreign(path: Path) -> Recording:
             place=place,
             remedy='Begin with a line like "time [s],X [mm],Y [mm],A [deg]".',
         )
-    at = names.index(TIME)
-    kept = [k for k in range(len(columns)) if k != at]
+    time_column = names.index(TIME)
+    channel_columns = [k for k in range(len(columns)) if k != time_column]
     layout = _Layout(
         separator=separator,
-        factors=(columns[at].factor, *(columns[k].factor for k in kept)),
-        order=(at, *kept),
+        factors=(columns[time_column].factor, *(columns[k].factor for k in channel_columns)),
+        order=(time_column, *channel_columns),
         own=False,
     )
     instants = ((n, row[0]) for n, row, _ in _rows(path, number, layout))
     grid = find_grid(instants, str(path))
     clock = Clock("recording", grid.period_s)
-    channels = tuple(_channel(columns[k], clock) for k in kept)
+    channels = tuple(_channel(columns[k], clock) for k in channel_columns)
     layout = replace(layout, first=grid.first)
     return Recording(
         channels=channels,
@@ -223,12 +224,14 @@ class _Layout:
     first: int | None = None  # tick of the first row; None: from its time
 
 
-def _rows(path: Path, head: int, layout: _Layout) -> Iterator[tuple[int, list[float], list[Event]]]:
+def _rows(
+    path: Path, head_line: int, layout: _Layout
+) -> Iterator[tuple[int, list[float], list[Event]]]:
     """Yield line number, time and samples in SI, and events."""
     width = len(layout.order)
     rows, ended = 0, not layout.own
     for number, line in text_lines(path):
-        if number <= head:
+        if number <= head_line:
             continue
         place = Place(str(path), number)
         if layout.own and line.startswith(END):
@@ -241,10 +244,10 @@ def _rows(path: Path, head: int, layout: _Layout) -> Iterator[tuple[int, list[fl
         if layout.own and ended:
             raise RecordingError("rows follow the end of the table", place=place)
         cells = line.split(layout.separator, width if layout.own else -1)
-        found = len(cells) - layout.own
-        if found != width:
+        cell_count = len(cells) - layout.own
+        if cell_count != width:
             raise RecordingError(
-                f"the line has {found} cells, but there are {width} columns",
+                f"the line has {cell_count} cells, but there are {width} columns",
                 place=place,
                 remedy="The file may have been cut off.",
             )
@@ -285,21 +288,21 @@ def parse_number(cell: str, place: Place, *, nan: bool = False) -> float:
 
 
 def _blocks(
-    known: KnownFile, channels: tuple[Channel, ...], head: int, layout: _Layout
+    known_file: KnownFile, channels: tuple[Channel, ...], head_line: int, layout: _Layout
 ) -> Iterator[RecordingBlock]:
-    path, clock, stride = known.path, channels[0].clock, channels[0].stride
+    path, clock, stride = known_file.path, channels[0].clock, channels[0].stride
     values: list[list[float]] = []
     events: list[Event] = []
     first = layout.first
-    operations = [k + 1 for k, c in enumerate(channels) if c.kind is ChannelKind.OPERATION]
+    operation_columns = [k + 1 for k, c in enumerate(channels) if c.kind is ChannelKind.OPERATION]
 
     def block(tick: int) -> RecordingBlock:
         columns: Any = np.array(values).T[1:]
         samples = {c.name: columns[k] for k, c in enumerate(channels)}
         return RecordingBlock(first_tick={clock.name: tick}, samples=samples, events=tuple(events))
 
-    with reading(known):
-        for number, row, here in _rows(path, head, layout):
+    with reading(known_file):
+        for number, row, row_events in _rows(path, head_line, layout):
             place = Place(str(path), number)
             if first is None:
                 first = min(max(0, round(row[0] / float(clock.period_s))), MAX_COUNTS)
@@ -308,11 +311,11 @@ def _blocks(
                 first += stride * len(values)
                 values, events = [], []
             check_on_grid(row[0], first + stride * len(values), clock.period_s, stride, place)
-            for k in operations:
+            for k in operation_columns:
                 if (fault := operation_fault(row[k])) is not None:
                     raise RecordingError(fault, place=place, remedy=OPERATION_REMEDY)
             values.append(row)
-            events += here
+            events += row_events
         if values:
             assert first is not None
             yield block(first)

@@ -108,14 +108,14 @@ class TraceWriter:
             If the block is too large for one chunk.
         """
         samples = block.samples
-        parts = [np.ascontiguousarray(samples[name], "<f8") for name in self._names]
+        arrays = [np.ascontiguousarray(samples[name], "<f8") for name in self._names]
         head = {
             "first": dict(block.first_tick),
-            "lengths": list(map(len, parts)),
+            "lengths": list(map(len, arrays)),
             "events": [event_item(event) for event in block.events],
         }
         text = _encoded(head).encode()
-        data = b"".join([_LENGTH.pack(len(text)), text, *(part.data for part in parts)])
+        data = b"".join([_LENGTH.pack(len(text)), text, *(array.data for array in arrays)])
         if len(data) > _MOST_BLOCK_BYTES:
             raise RecordingError(
                 f"a block has {len(data)} bytes, limit {_MOST_BLOCK_BYTES}",
@@ -202,9 +202,9 @@ def _records(file: IO[bytes], path: Path) -> Iterator[tuple[Any, bool]]:
         if kind == Opcode.FOOTER:
             raise _damaged("a footer follows its records without an end of the data", path)
         crc = zlib.crc32(content, zlib.crc32(head, crc))
-        found, checked = _parse_records(kind, content, path)
-        bare = bare or (bool(found) and not checked)
-        for record in found:
+        parsed, checked = _parse_records(kind, content, path)
+        bare = bare or (bool(parsed) and not checked)
+        for record in parsed:
             yield record, False
     _check_broken_off(file, path, bare=bare)
 
@@ -240,10 +240,12 @@ def _check_length(length: int, path: Path) -> None:
         )
 
 
-def _check_crc(stored: int, found: int, what: str, path: Path) -> None:
+def _check_crc(stored: int, computed: int, what: str, path: Path) -> None:
     """Refuse bytes with a wrong checksum; 0 means that no checksum was written."""
-    if stored not in {0, found}:
-        raise _damaged(f"the checksum of {what} is {found:08x}, the file says {stored:08x}", path)
+    if stored not in {0, computed}:
+        raise _damaged(
+            f"the checksum of {what} is {computed:08x}, the file says {stored:08x}", path
+        )
 
 
 def _check_end(content: bytes, crc: int, path: Path, *, bare: bool) -> None:
@@ -256,19 +258,19 @@ def _check_end(content: bytes, crc: int, path: Path, *, bare: bool) -> None:
         raise _unconfirmed(path)
 
 
-def _check_summary(rest: bytes, path: Path) -> None:
+def _check_summary(summary: bytes, path: Path) -> None:
     """Check the index after the data; it may be unfinished if the writer was interrupted.
 
     No result depends on the index.
     """
-    ending = rest[-_ENDING:]
-    whole = ending.startswith(_FOOTER), rest.endswith(MAGIC)
-    if not any(whole):
+    ending = summary[-_ENDING:]
+    complete = ending.startswith(_FOOTER), summary.endswith(MAGIC)
+    if not any(complete):
         return
-    if not all(whole):
+    if not all(complete):
         raise _damaged("its footer or its last bytes are missing", path)
-    body = rest[: -len(MAGIC) - _CRC.size]
-    (stored,) = _CRC.unpack_from(rest, len(body))
+    body = summary[: -len(MAGIC) - _CRC.size]
+    (stored,) = _CRC.unpack_from(summary, len(body))
     _check_crc(stored, zlib.crc32(body), "its index", path)
 
 
@@ -276,9 +278,9 @@ def _check_cut(kind: int, length: int, content: bytes, path: Path) -> None:
     """Refuse an incomplete last record whose length disagrees with the chunk in it."""
     if kind != Opcode.CHUNK or len(content) < _CHUNK_HEAD.size:
         return
-    at = _CHUNK_HEAD.size + _CHUNK_HEAD.unpack_from(content)[-1]
-    if len(content) >= at + _SIZE.size and length != (
-        at + _SIZE.size + _SIZE.unpack_from(content, at)[0]
+    name_end = _CHUNK_HEAD.size + _CHUNK_HEAD.unpack_from(content)[-1]
+    if len(content) >= name_end + _SIZE.size and length != (
+        name_end + _SIZE.size + _SIZE.unpack_from(content, name_end)[0]
     ):
         raise _damaged(
             f"a record claims {length} bytes, but the chunk in it a different number", path
@@ -300,19 +302,19 @@ def _parse_records(kind: int, content: bytes, path: Path) -> tuple[list[Any], bo
     The second value is True if a checksum of the chunk itself confirms them.
     """
     stream = ReadDataStream(BytesIO(content))
-    found: list[Any] = []
+    parsed: list[Any] = []
     checked = True
     try:
         if kind == Opcode.SCHEMA:
-            found, checked = [Schema.read(stream)], False
+            parsed, checked = [Schema.read(stream)], False
         elif kind == Opcode.MESSAGE:
-            found, checked = [Message.read(stream, len(content))], False
+            parsed, checked = [Message.read(stream, len(content))], False
         elif kind == Opcode.CHUNK:
             chunk = Chunk.read(stream)
             _check_length(chunk.uncompressed_size, path)
             data = _unpacked(chunk)
             _check_crc(chunk.uncompressed_crc, zlib.crc32(data), "a chunk", path)
-            found = breakup_chunk(replace(chunk, compression="", data=data))
+            parsed = breakup_chunk(replace(chunk, compression="", data=data))
             checked = chunk.uncompressed_crc != 0
         elif kind in _UNREAD:  # its content is ignored, but it must be valid
             _UNREAD[kind].read(stream)
@@ -329,7 +331,7 @@ def _parse_records(kind: int, content: bytes, path: Path) -> tuple[list[Any], bo
     if kind == Opcode.ATTACHMENT:
         (stored,) = _CRC.unpack(content[-_CRC.size :])
         _check_crc(stored, zlib.crc32(content[: -_CRC.size]), "an attachment", path)
-    return found, checked
+    return parsed, checked
 
 
 def _unpacked(chunk: Chunk) -> bytes:
@@ -349,25 +351,25 @@ def _unpacked(chunk: Chunk) -> bytes:
     return bytes(data)
 
 
-def _blocks(known: KnownFile, channels: tuple[Channel, ...]) -> Iterator[RecordingBlock]:
-    place = Place(str(known.path))
-    last: Mapping[str, int] = {channel.clock.name: 0 for channel in channels}
+def _blocks(known_file: KnownFile, channels: tuple[Channel, ...]) -> Iterator[RecordingBlock]:
+    place = Place(str(known_file.path))
+    last_ticks: Mapping[str, int] = {channel.clock.name: 0 for channel in channels}
     number = 0
-    with reading(known), known.path.open("rb") as file:
-        for record, ended in _records(file, known.path):
+    with reading(known_file), known_file.path.open("rb") as file:
+        for record, is_end in _records(file, known_file.path):
             if isinstance(record, Message):
                 if record.sequence != number % (1 << 32):
-                    raise _damaged(f"block {number} is missing", known.path)
+                    raise _damaged(f"block {number} is missing", known_file.path)
                 number += 1
                 block = _block(bytes(record.data), channels, place)
-                last = block.first_tick
+                last_ticks = block.first_tick
                 yield block
-            if ended:
+            if is_end:
                 return
-    nothing = {channel.name: np.empty(0) for channel in channels}
-    tick = max(last.values())
+    no_samples = {channel.name: np.empty(0) for channel in channels}
+    tick = max(last_ticks.values())
     fault = Event(tick=tick, kind="fault", operation=-1, name=BROKEN_OFF)
-    yield RecordingBlock(first_tick=dict(last), samples=nothing, events=(fault,))
+    yield RecordingBlock(first_tick=dict(last_ticks), samples=no_samples, events=(fault,))
 
 
 def _block(data: bytes, channels: tuple[Channel, ...], place: Place) -> RecordingBlock:
@@ -379,22 +381,22 @@ def _block(data: bytes, channels: tuple[Channel, ...], place: Place) -> Recordin
     (size,) = _LENGTH.unpack_from(data)
     head = parse_json(data[_LENGTH.size : _LENGTH.size + size].decode(errors="replace"), place)
     try:
-        first = {str(name): int(tick) for name, tick in head["first"].items()}
+        first_ticks = {str(name): int(tick) for name, tick in head["first"].items()}
         lengths = [int(n) for n in head["lengths"]]
         items = list(head["events"])
     except (TypeError, KeyError, AttributeError, ValueError) as error:
         raise damaged("its head cannot be read") from error
     clocks = {channel.clock.name for channel in channels}
-    rest = len(data) - _LENGTH.size - size
-    if set(first) != clocks or min(lengths, default=0) < 0 or len(lengths) != len(channels):
+    sample_bytes = len(data) - _LENGTH.size - size
+    if set(first_ticks) != clocks or min(lengths, default=0) < 0 or len(lengths) != len(channels):
         raise damaged("its clocks or channels differ from the clocks or channels of the file")
-    if rest != 8 * sum(lengths) or min(first.values()) < 0:
-        raise damaged(f"it has {rest} bytes of samples, its head claims {8 * sum(lengths)}")
+    if sample_bytes != 8 * sum(lengths) or min(first_ticks.values()) < 0:
+        raise damaged(f"it has {sample_bytes} bytes of samples, its head claims {8 * sum(lengths)}")
     samples = {}
-    at = _LENGTH.size + size
+    offset = _LENGTH.size + size
     for channel, n in zip(channels, lengths, strict=True):
-        values = np.frombuffer(data, "<f8", n, at).astype(np.float64)
-        at += 8 * n
+        values = np.frombuffer(data, "<f8", n, offset).astype(np.float64)
+        offset += 8 * n
         if not np.isfinite(values).all():
             raise damaged(f"channel {channel.name!r} has samples that are not finite numbers")
         if channel.kind is ChannelKind.OPERATION:
@@ -403,4 +405,4 @@ def _block(data: bytes, channels: tuple[Channel, ...], place: Place) -> Recordin
                     raise RecordingError(fault, place=place, remedy=OPERATION_REMEDY)
         samples[channel.name] = values
     events = tuple(event_from(item, place) for item in items)
-    return RecordingBlock(first_tick=first, samples=samples, events=events)
+    return RecordingBlock(first_tick=first_ticks, samples=samples, events=events)

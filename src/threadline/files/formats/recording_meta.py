@@ -134,11 +134,11 @@ def recording_from(
     RecordingError
         If the description is wrong.
     """
-    found = checked_meta(_META, meta, path)
+    description = checked_meta(_META, meta, path)
     place = Place(str(path))
-    clocks = {n: Clock(n, positive_fraction(p, place)) for n, p in found.clocks.items()}
+    clocks = {n: Clock(n, positive_fraction(p, place)) for n, p in description.clocks.items()}
     channels = []
-    for channel in found.channels:
+    for channel in description.channels:
         if channel.clock not in clocks:
             raise RecordingError(
                 f"channel {channel.name!r} names the unknown clock {channel.clock!r}",
@@ -159,10 +159,10 @@ def recording_from(
     return Recording(
         channels=tuple(channels),
         blocks=Stream(samples, KnownFile.of(path), tuple(channels), *given),
-        job_sha256=found.job_sha256,
-        machine_sha256=found.machine_sha256,
-        simulated=found.simulated,
-        origin=dict(found.origin),
+        job_sha256=description.job_sha256,
+        machine_sha256=description.machine_sha256,
+        simulated=description.simulated,
+        origin=dict(description.origin),
     )
 
 

@@ -72,17 +72,17 @@ def write_recording_npz(recording: Recording, path: Path) -> Written:
             spool.column(name, "<f8")
         events = EventSpool(spool)
         for block in recording:
-            parts = [block.samples[channel.name] for channel in channels]
-            lengths = [len(part) for part in parts]
+            arrays = [block.samples[channel.name] for channel in channels]
+            lengths = [len(array) for array in arrays]
             if sum(lengths) > MAX_BLOCK_SAMPLES:
                 raise RecordingError(
                     f"a block has {sum(lengths)} samples, limit {MAX_BLOCK_SAMPLES}",
                     remedy="Record in smaller blocks.",
                 )
-            first = [block.first_tick[clock] for clock in clocks]
-            spool.append("blocks", np.array([*first, *lengths, len(block.events)]))
-            for name, part in zip(names, parts, strict=True):
-                spool.append(name, part)
+            first_ticks = [block.first_tick[clock] for clock in clocks]
+            spool.append("blocks", np.array([*first_ticks, *lengths, len(block.events)]))
+            for name, array in zip(names, arrays, strict=True):
+                spool.append(name, array)
             events.append(block.events)
         spool.pack(file, {**meta, "event_names": events.names})
     return written(path)
@@ -123,25 +123,25 @@ def _open(
 
 
 def _blocks(
-    known: KnownFile, channels: tuple[Channel, ...], event_names: tuple[str, ...]
+    known_file: KnownFile, channels: tuple[Channel, ...], event_names: tuple[str, ...]
 ) -> Iterator[RecordingBlock]:
-    path, clocks = known.path, _clock_names(channels)
-    with reading(known), ColumnArchive(path) as archive:
+    path, clocks = known_file.path, _clock_names(channels)
+    with reading(known_file), ColumnArchive(path) as archive:
         blocks, columns, events = _open(archive, channels, event_names, path)
-        left = np.array([*(column.rows for column in columns), events.left])
+        left_counts = np.array([*(column.rows for column in columns), events.left])
         for rows in blocks.runs(1024):
             for row in rows:
-                first, lengths = row[: len(clocks)], row[len(clocks) :]
-                _check_block(lengths, left, path)
-                left -= lengths
+                first_ticks, lengths = row[: len(clocks)], row[len(clocks) :]
+                _check_block(lengths, left_counts, path)
+                left_counts -= lengths
                 yield RecordingBlock(
-                    first_tick=dict(zip(clocks, first.tolist(), strict=True)),
+                    first_tick=dict(zip(clocks, first_ticks.tolist(), strict=True)),
                     samples=_samples(channels, columns, lengths, path),
                     events=tuple(events.take(int(lengths[-1]))),
                 )
-        if left.any():
+        if left_counts.any():
             raise RecordingError(
-                f"{int(left.sum())} samples or events belong to no block",
+                f"{int(left_counts.sum())} samples or events belong to no block",
                 place=Place(str(path)),
                 remedy="The file is damaged.",
             )
@@ -163,12 +163,16 @@ def _samples(
     return samples
 
 
-def _check_block(lengths: Any, left: Any, path: Path) -> None:
+def _check_block(lengths: Any, left_counts: Any, path: Path) -> None:
     # No length may exceed the rows left in the file, so that the sum of lengths cannot overflow.
-    if (lengths >= 0).all() and (lengths <= left).all() and lengths.sum() <= MAX_BLOCK_SAMPLES:
+    if (
+        (lengths >= 0).all()
+        and (lengths <= left_counts).all()
+        and lengths.sum() <= MAX_BLOCK_SAMPLES
+    ):
         return
     raise RecordingError(
-        f"a block claims {lengths.tolist()} samples; {left.tolist()} are left, "
+        f"a block claims {lengths.tolist()} samples; {left_counts.tolist()} are left, "
         f"limit {MAX_BLOCK_SAMPLES} at once",
         place=Place(str(path)),
         remedy="The file is damaged.",

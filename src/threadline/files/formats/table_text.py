@@ -125,23 +125,25 @@ def read_text_table(
         return checked_rows(table, meta, path)
 
 
-def _blocks(known: KnownFile, axes: int, head: int, beside: int) -> Iterator[TickBlock]:
-    """Yield the blocks; the ``beside`` columns of the needle are counted but not read."""
-    path = known.path
-    with reading(known):
+def _blocks(
+    known_file: KnownFile, axes: int, head_line: int, needle_columns: int
+) -> Iterator[TickBlock]:
+    """Yield the blocks; the ``needle_columns`` cells of the needle are counted but not read."""
+    path = known_file.path
+    with reading(known_file):
         rows: list[list[int]] = []
         events: list[Event] = []
-        tail: list[Event] = []
+        end_events: list[Event] = []
         first = 0
-        for number, line in body_lines(path, head):
+        for number, line in body_lines(path, head_line):
             place = Place(str(path), number)
             if line.startswith(END):
                 check_end(line, first + len(rows), place)
                 continue
-            cells = line.split(",", axes + beside + 2)
-            if len(cells) != axes + beside + 3:
+            cells = line.split(",", axes + needle_columns + 2)
+            if len(cells) != axes + needle_columns + 3:
                 raise RecordingError(
-                    f"the line has {len(cells)} cells, expected {axes + beside + 3}",
+                    f"the line has {len(cells)} cells, expected {axes + needle_columns + 3}",
                     place=place,
                     remedy="The file may have been cut off.",
                 )
@@ -150,12 +152,12 @@ def _blocks(known: KnownFile, axes: int, head: int, beside: int) -> Iterator[Tic
             if not any(cells[1:-1]):
                 if tick < first + len(rows):
                     raise RecordingError(f"tick {tick} occurs twice", place=place)
-                here = parse_events_cell(cells[-1], tick, place)
-                if not here:
+                line_events = parse_events_cell(cells[-1], tick, place)
+                if not line_events:
                     raise RecordingError("the line has no counts and no events", place=place)
-                tail += here
+                end_events += line_events
                 continue
-            if tail:
+            if end_events:
                 raise RecordingError("a row follows the events after the end", place=place)
             if tick != first + len(rows):
                 raise RecordingError(
@@ -169,9 +171,9 @@ def _blocks(known: KnownFile, axes: int, head: int, beside: int) -> Iterator[Tic
             rows.append([whole_number(cell, place) for cell in cells[1:-1]])
             events += parse_events_cell(cells[-1], tick, place)
         if rows:
-            yield _block(first, rows, events + tail, path)
-        elif tail:
-            yield empty_block(axes, tuple(tail))
+            yield _block(first, rows, events + end_events, path)
+        elif end_events:
+            yield empty_block(axes, tuple(end_events))
 
 
 def body_lines(path: Path, head: int) -> Iterator[tuple[int, str]]:
@@ -213,8 +215,8 @@ def stated_tick_count(path: Path) -> int:
     place = Place(str(path))
     with path.open("rb") as file:
         file.seek(max(file.seek(0, SEEK_END) - _LAST, 0))
-        _, found, count = file.read().decode("utf-8", "replace").rpartition(END)
-    if not found:
+        _, separator, count = file.read().decode("utf-8", "replace").rpartition(END)
+    if not separator:
         raise _cut_off(place)
     return whole_number(count.strip(), place)
 

@@ -81,8 +81,8 @@ class NeedleRows:
         """
         first, last = np.searchsorted(self.row, (begin, end))
         times_s = self.after_s[first:last] + (self.row[first:last] - begin) * period_s
-        down = " ".join(f"{time_s:.9f}" for time_s in times_s.tolist())
-        return f"{down},{int(self.up[begin])},{int(self.trim[begin])}"
+        down_times = " ".join(f"{time_s:.9f}" for time_s in times_s.tolist())
+        return f"{down_times},{int(self.up[begin])},{int(self.trim[begin])}"
 
 
 class NeedleSource(Protocol):
@@ -159,25 +159,30 @@ def table_from(
     RecordingError
         If the description is wrong.
     """
-    found = checked_meta(_META, meta, path)
+    description = checked_meta(_META, meta, path)
     place = Place(str(path))
-    if not len(found.axes) == len(found.counts_per_unit) == len(found.start_counts):
+    if (
+        not len(description.axes)
+        == len(description.counts_per_unit)
+        == len(description.start_counts)
+    ):
         raise RecordingError(
-            f"the description names {len(found.axes)} axes, {len(found.counts_per_unit)} scales "
-            f"and {len(found.start_counts)} start positions",
+            f"the description names {len(description.axes)} axes, "
+            f"{len(description.counts_per_unit)} scales "
+            f"and {len(description.start_counts)} start positions",
             place=place,
         )
-    if len(set(found.axes)) < len(found.axes):
+    if len(set(description.axes)) < len(description.axes):
         raise RecordingError("the description names an axis twice", place=place)
     return TickTable(
-        clock=Clock(found.clock[0], positive_fraction(found.clock[1], place)),
-        axes=found.axes,
-        counts_per_unit=np.array(found.counts_per_unit),
-        start_counts=np.array(found.start_counts, dtype=np.int64),
-        blocks=Stream(rows, KnownFile.of(path), len(found.axes), *given),
-        job_sha256=found.job_sha256,
-        machine_sha256=found.machine_sha256,
-        began_sha256=found.began_sha256,
+        clock=Clock(description.clock[0], positive_fraction(description.clock[1], place)),
+        axes=description.axes,
+        counts_per_unit=np.array(description.counts_per_unit),
+        start_counts=np.array(description.start_counts, dtype=np.int64),
+        blocks=Stream(rows, KnownFile.of(path), len(description.axes), *given),
+        job_sha256=description.job_sha256,
+        machine_sha256=description.machine_sha256,
+        began_sha256=description.began_sha256,
     )
 
 
@@ -194,10 +199,10 @@ def checked_rows(table: TickTable, meta: Any, path: Path) -> TickTable:
     stated = meta.get("rows_sha256")
     if stated is None:
         return table
-    found = table.rows_sha256()
-    if found != stated:
+    actual = table.rows_sha256()
+    if actual != stated:
         raise RecordingError(
-            f"the rows were changed after writing: their SHA-256 is {found[:12]}..., the "
+            f"the rows were changed after writing: their SHA-256 is {actual[:12]}..., the "
             f"file says {stated[:12]}...",
             place=Place(str(path)),
             remedy="Write or fetch it again.",
@@ -228,11 +233,11 @@ def write_table_npz(table: TickTable, path: Path, needle: NeedleSource | None = 
             spool.append("operation", block.operation)
             events.append(block.events)
             if needle is not None:
-                beside = needle.rows(block)
-                spool.append("needle_down_tick", block.first_tick + beside.row)
-                spool.append("needle_down_s", beside.after_s)
-                spool.append("needle_up", beside.up)
-                spool.append("trim", beside.trim)
+                needle_rows = needle.rows(block)
+                spool.append("needle_down_tick", block.first_tick + needle_rows.row)
+                spool.append("needle_down_s", needle_rows.after_s)
+                spool.append("needle_up", needle_rows.up)
+                spool.append("trim", needle_rows.trim)
         meta = {**table_meta(table), "rows_sha256": digest.hexdigest()}
         spool.pack(file, {"format": TITLE, **meta, "event_names": events.names})
     return written(path)
@@ -278,27 +283,27 @@ def _open_npz(
     return counts, operation, EventColumns(archive, names, Place(str(path)))
 
 
-def _npz_blocks(known: KnownFile, axes: int, names: tuple[str, ...]) -> Iterator[TickBlock]:
-    path = known.path
-    with reading(known), ColumnArchive(path) as archive:
+def _npz_blocks(known_file: KnownFile, axes: int, names: tuple[str, ...]) -> Iterator[TickBlock]:
+    path = known_file.path
+    with reading(known_file), ColumnArchive(path) as archive:
         counts, operation, columns = _open_npz(archive, names, axes, path)
         pending: list[Event] = []
-        first, total = 0, counts.rows
+        first, row_count = 0, counts.rows
         for rows in counts.runs(READ_ROWS):
             end = first + len(rows)
-            last = end == total
-            while columns.left and (last or not pending or pending[-1].tick < end):
+            is_last = end == row_count
+            while columns.left and (is_last or not pending or pending[-1].tick < end):
                 pending += columns.take(4096)
-            here = [e for e in pending if last or e.tick < end]
-            pending = pending[len(here) :]
+            block_events = [e for e in pending if is_last or e.tick < end]
+            pending = pending[len(block_events) :]
             yield TickBlock(
                 first_tick=first,
                 counts=checked_counts(rows, path),
                 operation=operation.take(len(rows)),
-                events=tuple(here),
+                events=tuple(block_events),
             )
             first = end
-        if not total and columns.left:
+        if not row_count and columns.left:
             yield empty_block(axes, tuple(columns.take(columns.left)))
 
 
@@ -370,19 +375,21 @@ def write_text(
 
 
 def _csv_rows(needle: NeedleSource | None, period_s: float, block: TickBlock, axes: int) -> str:
-    cells: dict[int, list[Event]] = {}
+    events_by_tick: dict[int, list[Event]] = {}
     for event in block.events:
-        cells.setdefault(event.tick, []).append(event)
+        events_by_tick.setdefault(event.tick, []).append(event)
     lines = []
-    beside = [""] * len(block)
+    needle_cells = [""] * len(block)
     if needle is not None:
         needle_rows = needle.rows(block)
-        beside = [f"{needle_rows.cells(row, row + 1, period_s)}," for row in range(len(block))]
-    rows = zip(block.counts.tolist(), block.operation.tolist(), beside, strict=True)
-    for tick, (counts, operation, more) in enumerate(rows, start=block.first_tick):
-        cell = events_cell(cells.pop(tick)) if tick in cells else ""
-        lines.append(f"{tick},{','.join(map(str, counts))},{operation},{more}{cell}\n")
+        needle_cells = [
+            f"{needle_rows.cells(row, row + 1, period_s)}," for row in range(len(block))
+        ]
+    rows = zip(block.counts.tolist(), block.operation.tolist(), needle_cells, strict=True)
+    for tick, (counts, operation, needle_cell) in enumerate(rows, start=block.first_tick):
+        cell = events_cell(events_by_tick.pop(tick)) if tick in events_by_tick else ""
+        lines.append(f"{tick},{','.join(map(str, counts))},{operation},{needle_cell}{cell}\n")
     empty = "," * (axes + 2 + (0 if needle is None else len(NEEDLE_COLUMNS)))
-    for tick, events in cells.items():  # events after the last row: no counts, no operation
+    for tick, events in events_by_tick.items():  # after the last row: no counts, no operation
         lines.append(f"{tick}{empty}{events_cell(events)}\n")
     return "".join(lines)

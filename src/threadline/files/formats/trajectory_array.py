@@ -42,8 +42,10 @@ MAX_TICKS = 1 << 31  # largest n of a line: products with a remainder stay exact
 
 
 def _columns(axes: Sequence[str], needle: bool) -> list[str]:
-    of_axis = [f"{axis} {what}" for axis in axes for what in ("[count/tick]", "remainder", "phase")]
-    return ["ticks", *of_axis, "operation", *(NEEDLE_COLUMNS if needle else ()), "events"]
+    axis_columns = [
+        f"{axis} {what}" for axis in axes for what in ("[count/tick]", "remainder", "phase")
+    ]
+    return ["ticks", *axis_columns, "operation", *(NEEDLE_COLUMNS if needle else ()), "events"]
 
 
 def write_array(table: TickTable, path: Path, needle: NeedleSource | None = None) -> Written:
@@ -77,18 +79,26 @@ def _lines(
     if needle_rows is not None:
         cuts |= set(needle_rows.changes().tolist())
     marks = np.array(sorted(cuts), dtype=np.int64)
-    begins, spans, phases = runs(np.ascontiguousarray(block.counts), marks)
-    for begin, span, phase in zip(begins.tolist(), spans.tolist(), phases.tolist(), strict=True):
-        total = block.counts[begin : begin + span].sum(axis=0).tolist()
-        cells = [f"{t // span},{t % span},{h}" for t, h in zip(total, phase, strict=True)]
+    run_begins, run_lengths, phases = runs(np.ascontiguousarray(block.counts), marks)
+    for begin, run_length, phase in zip(
+        run_begins.tolist(), run_lengths.tolist(), phases.tolist(), strict=True
+    ):
+        total = block.counts[begin : begin + run_length].sum(axis=0).tolist()
+        cells = [
+            f"{t // run_length},{t % run_length},{h}" for t, h in zip(total, phase, strict=True)
+        ]
         tick = block.first_tick + begin
-        here = [e for e in pending if e.tick == tick]
-        if here:
+        row_events = [e for e in pending if e.tick == tick]
+        if row_events:
             pending = [e for e in pending if e.tick != tick]
-        beside = (
-            "" if needle_rows is None else f"{needle_rows.cells(begin, begin + span, period_s)},"
+        needle_cells = (
+            ""
+            if needle_rows is None
+            else f"{needle_rows.cells(begin, begin + run_length, period_s)},"
         )
-        yield f"{span},{','.join(cells)},{operation[begin]},{beside}{events_cell(here)}\n"
+        yield (
+            f"{run_length},{','.join(cells)},{operation[begin]},{needle_cells}{events_cell(row_events)}\n"
+        )
     if pending:  # at the end of the last row
         end = block.first_tick + len(block)
         if any(e.tick != end for e in pending):
@@ -109,10 +119,12 @@ def read_array(path: Path) -> TickTable:
     return read_text_table(path, TITLE, _columns, _blocks)
 
 
-def _blocks(known: KnownFile, axes: int, head: int, beside: int) -> Iterator[TickBlock]:
-    """Yield the blocks; the ``beside`` columns of the needle are counted but not read."""
-    path = known.path
-    first, ready = 0, 0  # tick of the next block, rows that are ready for it
+def _blocks(
+    known_file: KnownFile, axes: int, head_line: int, needle_columns: int
+) -> Iterator[TickBlock]:
+    """Yield the blocks; the ``needle_columns`` cells of the needle are counted but not read."""
+    path = known_file.path
+    first, row_count = 0, 0  # tick of the next block, rows that are ready for it
     counts: list[IntArray] = []
     operation: list[IntArray] = []
     events: list[Event] = []
@@ -125,39 +137,39 @@ def _blocks(known: KnownFile, axes: int, head: int, beside: int) -> Iterator[Tic
             events=tuple(events),
         )
 
-    with reading(known):
-        for number, line in body_lines(path, head):
+    with reading(known_file):
+        for number, line in body_lines(path, head_line):
             place = Place(str(path), number)
             if line.startswith(END):
-                check_end(line, first + ready, place)
+                check_end(line, first + row_count, place)
                 continue
-            wanted = 3 * axes + 3 + beside
-            cells = line.split(",", wanted - 1)
-            if len(cells) != wanted:
+            cell_count = 3 * axes + 3 + needle_columns
+            cells = line.split(",", cell_count - 1)
+            if len(cells) != cell_count:
                 raise RecordingError(
-                    f"the line has {len(cells)} cells, expected {wanted}", place=place
+                    f"the line has {len(cells)} cells, expected {cell_count}", place=place
                 )
-            span = whole_number(cells[0], place)
-            here = parse_events_cell(cells[-1], first + ready, place)
-            if span == 0:
-                events += here
+            line_ticks = whole_number(cells[0], place)
+            line_events = parse_events_cell(cells[-1], first + row_count, place)
+            if line_ticks == 0:
+                events += line_events
                 continue
-            of = whole_number(cells[1 + 3 * axes], place)
-            if not 0 < span <= MAX_TICKS:
-                raise RecordingError(f"{span} ticks, limit {MAX_TICKS}", place=place)
-            if span > READ_ROWS:
-                _check_within(first + ready + span, path, place)
-            for part in _rows(cells[1 : 1 + 3 * axes], span, path, place):
-                if ready >= READ_ROWS:
+            operation_number = whole_number(cells[1 + 3 * axes], place)
+            if not 0 < line_ticks <= MAX_TICKS:
+                raise RecordingError(f"{line_ticks} ticks, limit {MAX_TICKS}", place=place)
+            if line_ticks > READ_ROWS:
+                _check_within(first + row_count + line_ticks, path, place)
+            for rows in _rows(cells[1 : 1 + 3 * axes], line_ticks, path, place):
+                if row_count >= READ_ROWS:
                     yield block()
-                    first, ready = first + ready, 0
+                    first, row_count = first + row_count, 0
                     counts, operation, events = [], [], []
-                events += here
-                here = []
-                counts.append(part)
-                operation.append(np.full(len(part), of))
-                ready += len(part)
-        if ready:
+                events += line_events
+                line_events = []
+                counts.append(rows)
+                operation.append(np.full(len(rows), operation_number))
+                row_count += len(rows)
+        if row_count:
             yield block()
         elif events:
             yield empty_block(axes, tuple(events))
@@ -165,24 +177,24 @@ def _blocks(known: KnownFile, axes: int, head: int, beside: int) -> Iterator[Tic
 
 def _check_within(end: int, path: Path, place: Place) -> None:
     """Refuse a line beyond the stated end of the table, before its rows are made."""
-    last = stated_tick_count(path)
-    if end > last:
+    stated_end = stated_tick_count(path)
+    if end > stated_end:
         raise RecordingError(
-            f"the line extends to tick {end}, but the table ends after {last}",
+            f"the line extends to tick {end}, but the table ends after {stated_end}",
             place=place,
             remedy="Write or fetch it again.",
         )
 
 
-def _rows(cells: list[str], span: int, path: Path, place: Place) -> Iterator[IntArray]:
+def _rows(cells: list[str], line_ticks: int, path: Path, place: Place) -> Iterator[IntArray]:
     """Yield the rows of one line in parts of limited length."""
     numbers = np.array([whole_number(cell, place) for cell in cells], dtype=np.int64)
     speed, remainder, phase = numbers[0::3], numbers[1::3], numbers[2::3]
-    if ((remainder < 0) | (remainder >= span) | (phase < 0) | (phase >= span)).any():
+    if ((remainder < 0) | (remainder >= line_ticks) | (phase < 0) | (phase >= line_ticks)).any():
         raise RecordingError(
-            f"remainders and phases must lie between 0 and {span - 1}", place=place
+            f"remainders and phases must lie between 0 and {line_ticks - 1}", place=place
         )
-    for begin in range(0, span, READ_ROWS):
-        k = np.arange(begin, min(begin + READ_ROWS, span) + 1, dtype=np.int64)[:, None]
-        extra = np.diff((phase + k * remainder) // span, axis=0)
+    for begin in range(0, line_ticks, READ_ROWS):
+        k = np.arange(begin, min(begin + READ_ROWS, line_ticks) + 1, dtype=np.int64)[:, None]
+        extra = np.diff((phase + k * remainder) // line_ticks, axis=0)
         yield checked_counts(speed + extra, path)

@@ -137,21 +137,25 @@ class RunIndex:
 
     def record(self, run: str) -> RunRecord:
         """Return the row of a run, which must exist."""
-        return next(one for one in self.runs() if one.run == run)
+        return next(record for record in self.runs() if record.run == run)
 
     def runs(self) -> Sequence[RunRecord]:
         """Return every run, the latest first."""
         with self._clear(), self._engine.connect() as connection:
-            found = [self._record(row) for row in connection.execute(_table().select()).mappings()]
-        return sorted(found, key=lambda one: (_instant(one.started), one.run), reverse=True)
+            records = [
+                self._record(row) for row in connection.execute(_table().select()).mappings()
+            ]
+        return sorted(
+            records, key=lambda record: (_instant(record.started), record.run), reverse=True
+        )
 
     def _record(self, row: RowMapping) -> RunRecord:
         """Return the run of a row, checked: SQLite accepts any type in any column."""
-        wrong = [name for name, value in row.items() if not _fits(str(name), value)]
-        if wrong:
+        wrong_columns = [name for name, value in row.items() if not _fits(str(name), value)]
+        if wrong_columns:
             raise StoreError(
-                f"the index of runs {self._shown!r} is damaged: {wrong[0]} of a run is "
-                f"{str(row[wrong[0]])[:40]!r}",
+                f"the index of runs {self._shown!r} is damaged: {wrong_columns[0]} of a run is "
+                f"{str(row[wrong_columns[0]])[:40]!r}",
                 remedy="Give another folder with --store, or repair the file.",
             )
         return RunRecord(**row)

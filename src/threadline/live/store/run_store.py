@@ -96,11 +96,11 @@ class RunStore:
         sent
             Files by name that are sent to the machine besides the rows of the plan.
         """
-        now = datetime.now().astimezone()
+        started_at = datetime.now().astimezone()
         stem = _NAME.sub("-", Path(plan.job.name).stem)[:40] or "run"
-        path = self._made(f"{now:%Y%m%d-%H%M%S}-{stem}")
+        path = self._made(f"{started_at:%Y%m%d-%H%M%S}-{stem}")
         try:
-            return self._begun(path, plan, proof, known, speed, inputs, sent or {}, now)
+            return self._begun(path, plan, proof, known, speed, inputs, sent or {}, started_at)
         except BaseException:  # nothing has moved, and there is no row for it
             shutil.rmtree(path, ignore_errors=True)
             raise
@@ -124,10 +124,10 @@ class RunStore:
         speed: float,
         inputs: Iterable[Path],
         sent: Mapping[str, bytes],
-        now: datetime,
+        started_at: datetime,
     ) -> OpenRun:
         """Fill the folder of a run, and add its row; see ``begin``."""
-        kept = copy_proof(proof, path / PROOF)
+        copied_proof = copy_proof(proof, path / PROOF)
         for file in inputs:
             _copy(file, _free(path / INPUTS, file.name))
         for file_name, content in sent.items():
@@ -136,7 +136,7 @@ class RunStore:
         name = path.name
         record = RunRecord(
             run=name,
-            started=now.isoformat(timespec="microseconds"),
+            started=started_at.isoformat(timespec="microseconds"),
             job=plan.job.name,
             machine=plan.machine.name,
             link=known["link"],
@@ -147,7 +147,7 @@ class RunStore:
             job_sha256=plan.job.sha256,
             machine_sha256=plan.machine.sha256,
             commands_sha256=proof.sha256("commands"),
-            proof_sha256=str(kept.content["sha256"]),
+            proof_sha256=str(copied_proof.content["sha256"]),
             threadline=__version__,
         )
         run = OpenRun(path, plan, {**known, "run": name}, self.index)
@@ -238,9 +238,9 @@ def _free(folder: Path, name: str) -> Path:
     return path
 
 
-def _copy(file: Path, to: Path) -> None:
+def _copy(file: Path, copy_path: Path) -> None:
     """Copy an input; if the copy cannot be written, the error names the copy."""
-    with file.open("rb") as source, naming(to, to), to.open("wb") as target:
+    with file.open("rb") as source, naming(copy_path, copy_path), copy_path.open("wb") as target:
         shutil.copyfileobj(source, target)
 
 
@@ -252,11 +252,12 @@ def check_folder(folder: Path) -> None:
     StoreError
         If a file stands there, or where a folder above it would be.
     """
-    there = next((place for place in (folder, *folder.parents) if place.exists()), folder)
-    if there.exists() and not there.is_dir():
-        wrong = "" if there == folder else f": {str(there)!r} is a file"
+    existing = next((path for path in (folder, *folder.parents) if path.exists()), folder)
+    if existing.exists() and not existing.is_dir():
+        obstacle = "" if existing == folder else f": {str(existing)!r} is a file"
         raise StoreError(
-            f"{str(folder)!r} is no folder of runs{wrong}", remedy="Give the folder with --store."
+            f"{str(folder)!r} is no folder of runs{obstacle}",
+            remedy="Give the folder with --store.",
         )
 
 
@@ -269,8 +270,8 @@ def opened(folder: Path) -> RunStore | None:
         If it is no folder, or the index cannot be used.
     """
     check_folder(folder)
-    kept = any(os.path.lexists(folder / name) for name in (INDEX, INDEX_URL))
-    if not kept:
+    has_index = any(os.path.lexists(folder / name) for name in (INDEX, INDEX_URL))
+    if not has_index:
         return None
     store = RunStore(folder)
     store.catch_up()
@@ -308,7 +309,7 @@ class OpenRun:
     def begin(self, channels: tuple[Channel, ...], simulated: bool) -> None:
         """Write the head of the recording: its channels and its origin."""
         plan = self._plan
-        described = Recording(
+        recording_head = Recording(
             channels=channels,
             blocks=Stream.of(()),
             job_sha256=plan.job.sha256,
@@ -317,7 +318,7 @@ class OpenRun:
             origin={**plan.options, **self._known},
         )
         with naming(self.path, self.path):
-            self._writer = TraceWriter(self._trace, described)
+            self._writer = TraceWriter(self._trace, recording_head)
 
     def block(self, block: RecordingBlock) -> None:
         """Write a block of samples and its events."""
@@ -329,8 +330,8 @@ class OpenRun:
     def _order_to_disk(self) -> None:
         """Flush the trace to disk in the background, so that it survives a loss of power."""
         now_s = time.monotonic()
-        waits = self._syncing is not None and not self._syncing.done()
-        if not waits and now_s >= self._synced_s + SYNC_S:
+        is_syncing = self._syncing is not None and not self._syncing.done()
+        if not is_syncing and now_s >= self._synced_s + SYNC_S:
             self._synced_s = now_s
             self._syncing = self._disk.submit(os.fsync, self._trace.fileno())
 
@@ -387,16 +388,16 @@ class OpenRun:
 
     def _write(self, content: Mapping[str, Any]) -> None:
         """Write the verdict to a temporary file, and move it into place: all or nothing."""
-        line = json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False)
-        place, made = self.path / VERDICT, self.path / f".{VERDICT}"
+        text = json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False)
+        path, temporary_path = self.path / VERDICT, self.path / f".{VERDICT}"
         try:
-            with naming(place, made), made.open("w", encoding="utf-8") as file:
-                file.write(f"{line}\n")
+            with naming(path, temporary_path), temporary_path.open("w", encoding="utf-8") as file:
+                file.write(f"{text}\n")
                 file.flush()
                 os.fsync(file.fileno())
-            made.replace(place)
+            temporary_path.replace(path)
         finally:
-            made.unlink(missing_ok=True)
+            temporary_path.unlink(missing_ok=True)
 
     def judged(self, content: Mapping[str, Any], ended: str, text: str) -> str:
         """Write the verdict into the folder, and verdict and end of the run into the index.

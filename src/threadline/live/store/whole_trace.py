@@ -37,13 +37,13 @@ def unfinished_run(store: Path, run: str) -> tuple[Path, RunRecord]:
     StoreError
         If there is no such run, or it is complete.
     """
-    kept = opened(store)
-    if kept is None:
+    opened_store = opened(store)
+    if opened_store is None:
         raise StoreError(
             f"there is no run {run[:60]!r} in {str(store)!r}", remedy="Give its folder: --store."
         )
-    folder = kept.find(run)
-    record = kept.index.record(folder.name)
+    folder = opened_store.find(run)
+    record = opened_store.index.record(folder.name)
     if record.ended in {RunEnd.COMPLETED, REFUSED}:
         raise StoreError(
             f"run {folder.name} was {record.ended}: there is no rest of it", remedy="Run the job."
@@ -77,9 +77,9 @@ def trace_of(folder: Path, record: RunRecord) -> Path:
         If it cannot be read.
     """
     trace = folder / TRACE
-    whole = read_recording(trace)
-    run = whole.origin.get("run", record.run)
-    if (run, whole.job_sha256, whole.machine_sha256) != (
+    recording = read_recording(trace)
+    run = recording.origin.get("run", record.run)
+    if (run, recording.job_sha256, recording.machine_sha256) != (
         record.run, record.job_sha256, record.machine_sha256,
     ):  # fmt: skip
         raise StoreError(
@@ -105,21 +105,21 @@ def as_one(names: Sequence[str]) -> str:
     return f"Judged as one with what {' and '.join(names)} did before the work began again"
 
 
-def _chain(trace: Path, rest: Recording) -> list[tuple[str, Recording]]:
+def _chain(trace: Path, later: Recording) -> list[tuple[str, Recording]]:
     """Return the runs that a trace continues, as far as they exist and fit each other."""
-    found: list[tuple[str, Recording]] = []
-    name, seen = rest.origin.get(CONTINUES), {trace.parent.name}
+    earlier_runs: list[tuple[str, Recording]] = []
+    name, seen = later.origin.get(CONTINUES), {trace.parent.name}
     while name and name == Path(name).name and name not in seen:
         seen.add(name)
         file = trace.parent.parent / name / TRACE
         if not file.is_file():
             break
-        before = read_recording(file)
-        if _fitting(before, rest) is not None:  # else it began after the place already
-            found.append((name, before))
-            rest = before
-        name = before.origin.get(CONTINUES)
-    return found
+        earlier = read_recording(file)
+        if _fitting(earlier, later) is not None:  # else it began after the place already
+            earlier_runs.append((name, earlier))
+            later = earlier
+        name = earlier.origin.get(CONTINUES)
+    return earlier_runs
 
 
 def whole_recording(trace: Path) -> Recording:
@@ -134,109 +134,124 @@ def whole_recording(trace: Path) -> Recording:
         If a trace is damaged.
     """
     recording = read_recording(trace)
-    for _, before in _chain(trace, recording):
-        recording = _joined(before, recording)
+    for _, earlier in _chain(trace, recording):
+        recording = _joined(earlier, recording)
     return recording
 
 
-def _fitting(before: Recording, rest: Recording) -> tuple[int, int] | None:
-    """Return the tick of ``before`` at which ``rest`` continues, and how many ticks earlier it is.
+def _fitting(earlier: Recording, later: Recording) -> tuple[int, int] | None:
+    """Return the tick of ``earlier`` where ``later`` continues, and the shift of ``later``, ticks.
 
-    None if they have other jobs or channels, or ``before`` never reached that place.
+    None if they have other jobs or channels, or ``earlier`` never reached that place.
     """
-    operation = rest.find(ChannelKind.OPERATION)
-    alike = (before.channels, before.job_sha256) == (rest.channels, rest.job_sha256)
+    operation = later.find(ChannelKind.OPERATION)
+    alike = (earlier.channels, earlier.job_sha256) == (later.channels, later.job_sha256)
     if operation is None or not alike:
         return None
-    begins = next((block for block in rest if len(block.samples[operation.name])), None)
-    at = None if begins is None else _begins_again(before, begins, operation, rest)
-    if begins is None or at is None:
+    first_block = next((block for block in later if len(block.samples[operation.name])), None)
+    tick = None if first_block is None else _begins_again(earlier, first_block, operation, later)
+    if first_block is None or tick is None:
         return None
-    return at, at - begins.first_tick[operation.clock.name]
+    return tick, tick - first_block.first_tick[operation.clock.name]
 
 
-def _joined(before: Recording, rest: Recording) -> Recording:
-    """Return ``before`` up to where the work of ``rest`` begins, followed by ``rest``."""
-    fitting = _fitting(before, rest)
+def _joined(earlier: Recording, later: Recording) -> Recording:
+    """Return ``earlier`` up to where the work of ``later`` begins, followed by ``later``."""
+    fitting = _fitting(earlier, later)
     if fitting is None:
-        return rest
-    channel = rest.channels[0]
-    blocks = Stream(_blocks, before, rest, channel.clock, channel.stride, *fitting)
-    return replace(rest, blocks=blocks)
+        return later
+    channel = later.channels[0]
+    blocks = Stream(_blocks, earlier, later, channel.clock, channel.stride, *fitting)
+    return replace(later, blocks=blocks)
 
 
 def _begins_again(
-    before: Recording, begins: RecordingBlock, operation: Channel, rest: Recording
+    earlier: Recording, first_block: RecordingBlock, operation: Channel, later: Recording
 ) -> int | None:
-    """Return the tick of ``before`` at which the work began that ``rest`` repeats first.
+    """Return the tick of ``earlier`` at which the work began that ``later`` repeats first.
 
-    ``begins`` is the block of ``rest`` with its first samples.
+    ``first_block`` is the block of ``later`` with its first samples.
 
     It is the first sample of that operation, or a later one with the same commanded positions: the
-    work may begin again at a rest within an operation. None if ``before`` begins after it, or never
-    reached it.
+    work may begin again at a rest within an operation. None if ``earlier`` begins after it, or
+    never reached it.
     """
-    commanded = [channel.name for channel in rest.channels if channel.kind is ChannelKind.COMMANDED]
-    of = float(begins.samples[operation.name][0])
-    first: int | None = None
-    earlier = False
-    for block in before:
-        now = block.samples[operation.name]
-        found = np.flatnonzero(now >= of)
-        earlier |= bool((now < of).any())
-        if not len(found):
+    commanded = [
+        channel.name for channel in later.channels if channel.kind is ChannelKind.COMMANDED
+    ]
+    first_operation = float(first_block.samples[operation.name][0])
+    operation_tick: int | None = None
+    seen_earlier = False
+    for block in earlier:
+        operations = block.samples[operation.name]
+        reached = np.flatnonzero(operations >= first_operation)
+        seen_earlier |= bool((operations < first_operation).any())
+        if not len(reached):
             continue
         tick = block.first_tick[operation.clock.name]
-        if first is None and earlier:
-            first = tick + int(found[0]) * operation.stride
-        alike = now == of
+        if operation_tick is None and seen_earlier:
+            operation_tick = tick + int(reached[0]) * operation.stride
+        is_same = operations == first_operation
         for name in commanded:
-            alike &= block.samples[name] == begins.samples[name][0]
-        if alike.any():
-            return tick + int(np.argmax(alike)) * operation.stride
-        if (now > of).any():
+            is_same &= block.samples[name] == first_block.samples[name][0]
+        if is_same.any():
+            return tick + int(np.argmax(is_same)) * operation.stride
+        if (operations > first_operation).any():
             break
-    return first
+    return operation_tick
 
 
 def _blocks(
-    before: Recording, rest: Recording, clock: Clock, stride: int, at: int, earlier: int
+    earlier: Recording,
+    later: Recording,
+    clock: Clock,
+    stride: int,
+    join_tick: int,
+    shift_ticks: int,
 ) -> Iterator[RecordingBlock]:
-    """Yield the blocks of ``before`` up to the tick ``at``, then the blocks of ``rest``.
+    """Yield the blocks of ``earlier`` up to the tick ``join_tick``, then the blocks of ``later``.
 
     Parameters
     ----------
-    earlier
-        Ticks by which events of ``rest`` come later in the joined recording.
+    shift_ticks
+        Ticks by which events of ``later`` come later in the joined recording.
     """
-    tells = False
-    for block in before:
-        kept = max(-(-(at - block.first_tick[clock.name]) // stride), 0)
-        own = tuple(e for e in block.events if e.tick < at and e.kind not in _ENDS)
-        tells = tells or any(event.kind == "plan" for event in own)
-        yield replace(
-            block, samples={name: a[:kept] for name, a in block.samples.items()}, events=own
-        )
-        if kept < max(map(len, block.samples.values()), default=0):
-            break
-    held = Event(tick=at, kind="hold", operation=-1, name="broken off")
-    nothing = {channel.name: np.empty(0) for channel in rest.channels}
-    resumed = replace(held, kind="resume", name="continued")
-    joint = [held, resumed]
-    if tells:  # the place where the work began again defines the plan's time
-        joint.append(replace(held, kind="plan", name="", value=clock.time_s(at - earlier)))
-    worked = False
-    for block in rest:
-        if not worked and not max(map(len, block.samples.values()), default=0):
-            # On the program's way to that place, only late ticks and overrides count.
-            kept_kinds = {"late", "override"}
-            joint += [replace(e, tick=at) for e in block.events if e.kind in kept_kinds]
-            continue
-        if not worked:
-            yield RecordingBlock(first_tick={clock.name: at}, samples=nothing, events=tuple(joint))
-            worked = True
+    has_plan_time = False
+    for block in earlier:
+        kept_count = max(-(-(join_tick - block.first_tick[clock.name]) // stride), 0)
+        kept_events = tuple(e for e in block.events if e.tick < join_tick and e.kind not in _ENDS)
+        has_plan_time = has_plan_time or any(event.kind == "plan" for event in kept_events)
         yield replace(
             block,
-            first_tick={name: tick + earlier for name, tick in block.first_tick.items()},
-            events=tuple(replace(event, tick=event.tick + earlier) for event in block.events),
+            samples={name: values[:kept_count] for name, values in block.samples.items()},
+            events=kept_events,
+        )
+        if kept_count < max(map(len, block.samples.values()), default=0):
+            break
+    hold_event = Event(tick=join_tick, kind="hold", operation=-1, name="broken off")
+    no_samples = {channel.name: np.empty(0) for channel in later.channels}
+    resume_event = replace(hold_event, kind="resume", name="continued")
+    joint_events = [hold_event, resume_event]
+    if has_plan_time:  # the place where the work began again defines the plan's time
+        joint_events.append(
+            replace(hold_event, kind="plan", name="", value=clock.time_s(join_tick - shift_ticks))
+        )
+    has_begun = False
+    for block in later:
+        if not has_begun and not max(map(len, block.samples.values()), default=0):
+            # On the program's way to that place, only late ticks and overrides count.
+            kept_kinds = {"late", "override"}
+            joint_events += [
+                replace(e, tick=join_tick) for e in block.events if e.kind in kept_kinds
+            ]
+            continue
+        if not has_begun:
+            yield RecordingBlock(
+                first_tick={clock.name: join_tick}, samples=no_samples, events=tuple(joint_events)
+            )
+            has_begun = True
+        yield replace(
+            block,
+            first_tick={name: tick + shift_ticks for name, tick in block.first_tick.items()},
+            events=tuple(replace(event, tick=event.tick + shift_ticks) for event in block.events),
         )
