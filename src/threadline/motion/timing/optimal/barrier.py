@@ -264,19 +264,19 @@ def _far(b, step, length, rows, tangent, i):
     acc, jerk, points, count, top, drive, begin = rows
     y0, y1, y2 = values(b, length, i)
     d0, d1, d2 = values(step, length, i)
-    best = 1e300
+    largest_step = 1e300
     for y, dy in ((y0, d0), (y1, d1), (y2, d2)):
         if dy < 0.0:
-            best = min(best, -y / dy)
+            largest_step = min(largest_step, -y / dy)
         elif dy > 0.0 and top[i] < np.inf:
-            best = min(best, (top[i] - y) / dy)
+            largest_step = min(largest_step, (top[i] - y) / dy)
     for k in range(count[i, 0]):
         r0, r1, r2 = acc[i, k, 0], acc[i, k, 1], acc[i, k, 2]
         v = r0 * y0 + r1 * y1 + r2 * y2
         dv = r0 * d0 + r1 * d1 + r2 * d2
         room = 1.0 - v if dv > 0.0 else 1.0 + v
-        if (dv != 0.0) & (room < best * abs(dv)):
-            best = room / abs(dv)
+        if (dv != 0.0) & (room < largest_step * abs(dv)):
+            largest_step = room / abs(dv)
     t0, t1 = 1.5 * tangent[i], 0.5 * tangent[i] ** 3
     for k in range(count[i, 1]):
         r0, r1, r2 = jerk[i, k, 0], jerk[i, k, 1], jerk[i, k, 2]
@@ -284,18 +284,18 @@ def _far(b, step, length, rows, tangent, i):
         v = r0 * y0 + r1 * y1 + r2 * y2
         dv = r0 * d0 + r1 * d1 + r2 * d2
         room = t0 - t1 * (w[0] * y0 + w[1] * y1 + w[2] * y2)
-        less = t1 * (w[0] * d0 + w[1] * d1 + w[2] * d2)
-        if (dv + less > 0.0) & (room - v < best * (dv + less)):
-            best = (room - v) / (dv + less)
-        if (less - dv > 0.0) & (room + v < best * (less - dv)):
-            best = (room + v) / (less - dv)
+        right_change = t1 * (w[0] * d0 + w[1] * d1 + w[2] * d2)
+        if (dv + right_change > 0.0) & (room - v < largest_step * (dv + right_change)):
+            largest_step = (room - v) / (dv + right_change)
+        if (right_change - dv > 0.0) & (room + v < largest_step * (right_change - dv)):
+            largest_step = (room + v) / (right_change - dv)
     slope = 0.5 * tangent[i]
     for k in range(begin[i], begin[i + 1]):
         r = drive[k]
         dv = (r[0] + slope * r[3]) * d0 + (r[1] + slope * r[4]) * d1 + (r[2] + slope * r[5]) * d2
         if dv > 0.0:
-            best = min(best, room_of(r, y0, y1, y2, tangent[i]) / dv)
-    return best
+            largest_step = min(largest_step, room_of(r, y0, y1, y2, tangent[i]) / dv)
+    return largest_step
 
 
 @njit()
@@ -305,10 +305,10 @@ def advance(b, step, length, rows, tangent):
     If rounding has left no room to a limit, the share is not above 0 and b stays unchanged: a
     slack of -1e-16 over a change of 1e-30 would be a step of 1e14 backwards.
     """
-    best = 1e300
+    largest_step = 1e300
     for i in range(len(length)):
-        best = min(best, _far(b, step, length, rows, tangent, i))
-    share = min(1.0, _NEAR * best)
+        largest_step = min(largest_step, _far(b, step, length, rows, tangent, i))
+    share = min(1.0, _NEAR * largest_step)
     if share > 0.0:
         for k in range(len(b)):
             b[k] += share * step[k]

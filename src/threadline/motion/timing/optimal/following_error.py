@@ -317,7 +317,7 @@ def followed(
     PlanError
         If the loads exceed the tolerance however slow the run is.
     """
-    ease, straight, most = np.ones(len(elements)), np.ones(len(elements)), None
+    ease, straight, largest_x = np.ones(len(elements)), np.ones(len(elements)), None
     problem = Problem(follower.guarded(elements, ease, straight), limits)
     for number in range(_FOLLOWING_ERROR_ROUNDS + _SLOWER_ROUNDS):
         if number == 0:
@@ -332,30 +332,36 @@ def followed(
             return polished(problem, block, limits, follower, past)
         middles = middles_s(solution)
         middles *= (block.end_s - begin_s) / middles[-1]
-        at = _whose(elements, solution.elements)
+        coarse_element = _whose(elements, solution.elements)
         elements = solution.elements
         x = solution.y.max(axis=1) * elements.length**2
         if number < _FOLLOWING_ERROR_ROUNDS:
-            fresh = straightness(middles, elements, follower)
-            straight = 0.5 * (straight[at] + fresh) if number else fresh
-            due = np.clip(strays.due(block, begin_s + middles), -_MOST_CHANGE, _MOST_CHANGE)
+            new_straight = straightness(middles, elements, follower)
+            straight = 0.5 * (straight[coarse_element] + new_straight) if number else new_straight
+            log_change = np.clip(strays.due(block, begin_s + middles), -_MOST_CHANGE, _MOST_CHANGE)
             # An inactive guard is tightened from where it would become active.
-            bites = np.clip(problem.guards_used(), _LEAST_USED, 1.0)
-            ease = ease[at] * np.exp(due) * np.where(due < 0.0, bites, 1.0)
+            active_share = np.clip(problem.guards_used(), _LEAST_USED, 1.0)
+            ease = (
+                ease[coarse_element]
+                * np.exp(log_change)
+                * np.where(log_change < 0.0, active_share, 1.0)
+            )
             ease = np.clip(ease, _LEAST, _MOST)
         else:
-            over = strays.worst(begin_s + middles)
-            ease, straight = ease[at], straight[at]
-            known = np.full(len(x), np.inf) if most is None else most[at]
-            most = _slowed_where_loads_stray(known, x, over)
-        problem.regard(follower.guarded(elements, ease, straight, most))
+            excess_share = strays.worst(begin_s + middles)
+            ease, straight = ease[coarse_element], straight[coarse_element]
+            known_caps = np.full(len(x), np.inf) if largest_x is None else largest_x[coarse_element]
+            largest_x = _slowed_where_loads_stray(known_caps, x, excess_share)
+        problem.regard(follower.guarded(elements, ease, straight, largest_x))
     return polished(problem, _slower(block, follower, past), limits, follower, past)
 
 
-def _slowed_where_loads_stray(known: FloatArray, x: FloatArray, over: FloatArray) -> FloatArray:
-    """Return the (n,) caps ``known``, lowered below ``x`` where the share ``over`` exceeds 1."""
-    lower = np.minimum(known, x * np.maximum(over, 1.0) ** -_SLOWED)
-    return np.where(over > 1.0, lower, known)
+def _slowed_where_loads_stray(
+    known_caps: FloatArray, x: FloatArray, excess_share: FloatArray
+) -> FloatArray:
+    """Return (n,) ``known_caps``, lowered below ``x`` where ``excess_share`` is above 1."""
+    lowered_caps = np.minimum(known_caps, x * np.maximum(excess_share, 1.0) ** -_SLOWED)
+    return np.where(excess_share > 1.0, lowered_caps, known_caps)
 
 
 def _whose(coarse: Elements, fine: Elements) -> IntArray:
