@@ -56,9 +56,9 @@ def kinds_with(location: tuple[str, ...]) -> list[str]:
 
     The present kind of the part lacks this key. The result is empty for a part without kinds.
     """
-    among, key = location[:-2], location[-1]
-    kinds = field_node(among).get("discriminator", {}).get("mapping", {})
-    return [kind for kind in kinds if key in field_names((*among, kind))]
+    part_location, key = location[:-2], location[-1]
+    kinds = field_node(part_location).get("discriminator", {}).get("mapping", {})
+    return [kind for kind in kinds if key in field_names((*part_location, kind))]
 
 
 def plain_node(node: Any) -> dict[str, Any]:
@@ -89,18 +89,18 @@ def line_of(text: str, location: tuple[str, ...], overlays: Sequence[str] = ()) 
         Applied overlays of the file. The line comes from the last overlay that contains at least as
         many keys of ``location`` as the file itself; else from the file itself.
     """
-    best, best_depth = _deepest(text, location)
+    best_line, best_depth = _deepest(text, location)
     for overlay in overlays:
         line, depth = _deepest(text, ("overlays", overlay, *location))
         if depth > 2 and depth - 2 >= best_depth:
-            best, best_depth = line, depth - 2
-    return best
+            best_line, best_depth = line, depth - 2
+    return best_line
 
 
 def _deepest(text: str, location: tuple[str, ...]) -> tuple[int, int]:
     """Return the line of the deepest part of ``location``, and its depth in keys."""
     table: tuple[str, ...] = ()
-    best, best_depth = 0, 0
+    best_line, best_depth = 0, 0
     for number, line in enumerate(text.splitlines(), start=1):
         # A row of an array, [1.0, 2.0], is not a header.
         header = re.match(r"\s*\[\[?([A-Za-z][^\],]*)\]\]?\s*(?:#.*)?$", line)
@@ -116,8 +116,8 @@ def _deepest(text: str, location: tuple[str, ...]) -> tuple[int, int]:
         if header and depth == 0 and location == table[: len(location)]:
             depth = len(location)  # a header [a.b.c] also opens the tables a and a.b
         if depth > best_depth:
-            best, best_depth = number, depth
-    return best, best_depth
+            best_line, best_depth = number, depth
+    return best_line, best_depth
 
 
 _PER_SECOND = 10**9
@@ -166,8 +166,8 @@ def number_tables(texts: Mapping[str, str]) -> list[str]:
 def is_whole(machine: Machine, path: str) -> bool:
     """Return whether a number must be whole, such as the bits of a converter."""
     node: Any = machine
-    *above, last = path.split(".")
-    for key in above:
+    *parents, last = path.split(".")
+    for key in parents:
         node = node.get(key) if isinstance(node, Mapping) else getattr(node, key, None)
     if isinstance(node, Mapping) or node is None:
         return False
@@ -178,10 +178,10 @@ def is_whole(machine: Machine, path: str) -> bool:
 @cache
 def _whole_numbers(kind: Any) -> frozenset[str]:
     """Return the keys of a part that are whole numbers."""
-    marked = get_type_hints(kind, include_extras=True)  # takes some ms, hence the cache
+    hints = get_type_hints(kind, include_extras=True)  # takes some ms, hence the cache
     return frozenset(
         key
-        for key, hint in marked.items()
+        for key, hint in hints.items()
         if any(isinstance(mark, Units) and mark.whole for mark in get_args(hint))
     )
 
@@ -197,23 +197,26 @@ def with_numbers(machine: Machine, numbers: Mapping[str, float]) -> Machine:
     OptionError
         If the machine has no such number.
     """
-    new: dict[str, Any] = {}
+    new_values: dict[str, Any] = {}
     for path, value in numbers.items():
-        old = number_at(machine, path)
-        share = 1.0 if old.si == 0.0 else abs(value / old.si)
-        exact = None if old.exact_s is None else exact_time_s(value)
+        old_quantity = number_at(machine, path)
+        factor = 1.0 if old_quantity.si == 0.0 else abs(value / old_quantity.si)
+        exact_s = None if old_quantity.exact_s is None else exact_time_s(value)
         *parents, last = path.split(".")
-        below = new
+        table = new_values
         for key in parents:
-            below = below.setdefault(key, {})
-        below[last] = dataclasses.replace(
-            old, si=float(value), tolerance_si=old.tolerance_si * share, exact_s=exact
+            table = table.setdefault(key, {})
+        table[last] = dataclasses.replace(
+            old_quantity,
+            si=float(value),
+            tolerance_si=old_quantity.tolerance_si * factor,
+            exact_s=exact_s,
         )
     note = repr(sorted((path, float(value)) for path, value in numbers.items()))
-    new["sha256"] = hashlib.sha256((machine.sha256 + note).encode()).hexdigest()
+    new_values["sha256"] = hashlib.sha256((machine.sha256 + note).encode()).hexdigest()
     # Replace all numbers at once: a check of two related numbers may refuse one new number alone.
-    made: Machine = _replaced(machine, new)
-    return made
+    new_machine: Machine = _replaced(machine, new_values)
+    return new_machine
 
 
 def exact_time_s(seconds: float) -> Fraction:
@@ -221,10 +224,10 @@ def exact_time_s(seconds: float) -> Fraction:
     return Fraction(float(seconds)).limit_denominator(_PER_SECOND)
 
 
-def _replaced(node: Any, new: Mapping[str, Any]) -> Any:
-    named = isinstance(node, Mapping)
-    made = {}
-    for key, value in new.items():
-        below = node[key] if named else getattr(node, key)
-        made[key] = _replaced(below, value) if isinstance(value, Mapping) else value
-    return {**node, **made} if named else dataclasses.replace(node, **made)
+def _replaced(node: Any, new_values: Mapping[str, Any]) -> Any:
+    is_mapping = isinstance(node, Mapping)
+    replaced = {}
+    for key, value in new_values.items():
+        part = node[key] if is_mapping else getattr(node, key)
+        replaced[key] = _replaced(part, value) if isinstance(value, Mapping) else value
+    return {**node, **replaced} if is_mapping else dataclasses.replace(node, **replaced)

@@ -63,14 +63,14 @@ class Body:
     @model_validator(mode="after")
     def _same_kind(self) -> Body:
         rotary = self.kind == "rotary"
-        for name, part, wanted in (
+        for name, part, unit in (
             ("inertia", self.inertia, "kg*m^2" if rotary else "kg"),
             ("damping", self.damping, "N*m*s/rad" if rotary else "N*s/m"),
             ("friction", self.friction, "N*m" if rotary else "N"),
             ("stiction", self.stiction, "N*m" if rotary else "N"),
         ):
-            if part is not None and part.unit != wanted:
-                raise ValueError(f"{name} of a {self.kind} body is in {wanted}, not {part.unit}")
+            if part is not None and part.unit != unit:
+                raise ValueError(f"{name} of a {self.kind} body is in {unit}, not {part.unit}")
         if self.stiction is not None and (
             self.friction is None or self.stiction.si < self.friction.si
         ):
@@ -119,16 +119,16 @@ class Link:
     def _consistent(self) -> Link:
         linear = self.stiffness.unit == "N/m"
         width = None if self.eccentric is None else self.eccentric.width
-        for name, part, wanted in (
+        for name, part, unit in (
             ("damping", self.damping, "N*s/m" if linear else "N*m*s/rad"),
             ("preload", self.preload, "N" if linear else "N*m"),
             ("play", self.play, "m" if linear else "rad"),
             ("eccentric.width", width, "m" if linear else "rad"),
         ):
-            if part is not None and part.unit != wanted:
+            if part is not None and part.unit != unit:
                 raise ValueError(
                     f"{name} is in {part.unit}; with a stiffness in {self.stiffness.unit} "
-                    f"it must be in {wanted}"
+                    f"it must be in {unit}"
                 )
         if self.first_run is not None and not (self.preload and self.first_run.si < 1.0):
             raise ValueError("first_run must be a share between 0 and 1, and needs a preload")
@@ -163,10 +163,10 @@ class Amplifier:
 
     @model_validator(mode="after")
     def _gain_unit(self) -> Amplifier:
-        wanted = "" if self.mode == "voltage" else "A/V"
-        if self.gain.unit != wanted:
+        unit = "" if self.mode == "voltage" else "A/V"
+        if self.gain.unit != unit:
             raise ValueError(
-                f"gain of a {self.mode} amplifier is in {wanted or 'V/V'}, not "
+                f"gain of a {self.mode} amplifier is in {unit or 'V/V'}, not "
                 f"{self.gain.unit or 'V/V, a plain number'}"
             )
         return self
@@ -298,17 +298,17 @@ class Axis:
 
     @model_validator(mode="after")
     def _consistent(self) -> Axis:
-        length = "m" if self.kind == "linear" else "rad"
-        for name, part, wanted in (
-            ("counts", self.counts, f"count/{length}"),
-            ("velocity", self.velocity, f"{length}/s"),
-            ("acceleration", self.acceleration, f"{length}/s^2"),
-            ("deceleration", self.deceleration, f"{length}/s^2"),
-            ("jerk", self.jerk, f"{length}/s^3"),
-            ("working_velocity", self.working_velocity, f"{length}/s"),
+        length_unit = "m" if self.kind == "linear" else "rad"
+        for name, part, unit in (
+            ("counts", self.counts, f"count/{length_unit}"),
+            ("velocity", self.velocity, f"{length_unit}/s"),
+            ("acceleration", self.acceleration, f"{length_unit}/s^2"),
+            ("deceleration", self.deceleration, f"{length_unit}/s^2"),
+            ("jerk", self.jerk, f"{length_unit}/s^3"),
+            ("working_velocity", self.working_velocity, f"{length_unit}/s"),
         ):
-            if part is not None and part.unit != wanted:
-                raise ValueError(f"{name} of a {self.kind} axis is in {wanted}, not {part.unit}")
+            if part is not None and part.unit != unit:
+                raise ValueError(f"{name} of a {self.kind} axis is in {unit}, not {part.unit}")
         if bool(self.controller) == bool(self.drive):
             raise ValueError(
                 "an axis has either a controller, which closes a loop, or a drive that takes "
@@ -324,17 +324,19 @@ class Axis:
             raise ValueError('an axis has either travel = ["min", "max"] or endless = true')
         if self.travel is not None:
             low, high = self.travel
-            if low.unit != length or high.unit != length:
-                raise ValueError(f"travel of a {self.kind} axis is in {length}")
+            if low.unit != length_unit or high.unit != length_unit:
+                raise ValueError(f"travel of a {self.kind} axis is in {length_unit}")
             if low.si >= high.si:
-                raise ValueError(f"travel must increase, got {low.si} to {high.si} {length}")
+                raise ValueError(f"travel must increase, got {low.si} to {high.si} {length_unit}")
         if self.wrapped and not (self.kind == "rotary" and self.endless):
             raise ValueError("wrapped is for a rotary axis with endless = true: remove it")
         if self.stroke is not None:
             if self.travel is None:
                 raise ValueError("an endless axis has no stroke: remove it")
-            if self.stroke.unit != length or self.stroke.si <= 0.0:
-                raise ValueError(f"the stroke of a {self.kind} axis must be above 0, in {length}")
+            if self.stroke.unit != length_unit or self.stroke.si <= 0.0:
+                raise ValueError(
+                    f"the stroke of a {self.kind} axis must be above 0, in {length_unit}"
+                )
         return self
 
 

@@ -120,9 +120,9 @@ class Way:
         """Return every set of open flow controls, including the empty set, with its level."""
         names = list(self.flows)
         return {
-            chosen: sum(self.flows[n].si for n in chosen)
+            open_flows: sum(self.flows[n].si for n in open_flows)
             for size in range(len(names) + 1)
-            for chosen in combinations(names, size)
+            for open_flows in combinations(names, size)
         }
 
     @property
@@ -245,40 +245,40 @@ class Cylinder:
 
     @model_validator(mode="after")
     def _of_its_kind(self) -> Cylinder:
-        turns = self.kind == "rotary"
-        length = "rad" if turns else "m"
-        spring, damper = ("N*m/rad", "N*m*s/rad") if turns else ("N/m", "N*s/m")
-        cushion = None if self.cushion is None else self.cushion.length
-        for name, part, wanted in (
-            ("stroke", self.stroke, length),
-            ("speed", self.speed, f"{length}/s"),
-            ("air_stiffness", self.air_stiffness, spring),
-            ("air_damping", self.air_damping, damper),
-            ("air_ramp", self.air_ramp, length),
-            ("cushion.length", cushion, length),
-            ("friction", self.friction, "N*m" if turns else "N"),
-            ("stiction", self.stiction, "N*m" if turns else "N"),
+        rotary = self.kind == "rotary"
+        length_unit = "rad" if rotary else "m"
+        stiffness_unit, damping_unit = ("N*m/rad", "N*m*s/rad") if rotary else ("N/m", "N*s/m")
+        cushion_length = None if self.cushion is None else self.cushion.length
+        for name, part, unit in (
+            ("stroke", self.stroke, length_unit),
+            ("speed", self.speed, f"{length_unit}/s"),
+            ("air_stiffness", self.air_stiffness, stiffness_unit),
+            ("air_damping", self.air_damping, damping_unit),
+            ("air_ramp", self.air_ramp, length_unit),
+            ("cushion.length", cushion_length, length_unit),
+            ("friction", self.friction, "N*m" if rotary else "N"),
+            ("stiction", self.stiction, "N*m" if rotary else "N"),
         ):
-            if part is not None and part.unit != wanted:
+            if part is not None and part.unit != unit:
                 raise ValueError(
-                    f"{name} of a {self.kind} cylinder is in {wanted}, not {part.unit}"
-                    + ("" if turns else '; one that turns has kind = "rotary"')
+                    f"{name} of a {self.kind} cylinder is in {unit}, not {part.unit}"
+                    + ("" if rotary else '; one that turns has kind = "rotary"')
                 )
-        if cushion is not None and cushion.si >= self.stroke.si:
+        if cushion_length is not None and cushion_length.si >= self.stroke.si:
             raise ValueError(
-                f"cushion.length {self.place(cushion.si)} is not shorter than the stroke, "
+                f"cushion.length {self.place(cushion_length.si)} is not shorter than the stroke, "
                 f"{self.place(self.stroke.si)}"
             )
-        if turns != (self.radius is not None):
+        if rotary != (self.radius is not None):
             raise ValueError(
                 "radius is missing: a rotary cylinder does its work at some distance from its shaft"
-                if turns
+                if rotary
                 else "a linear cylinder has no radius"
             )
-        if self.torque is not None and not turns:
+        if self.torque is not None and not rotary:
             raise ValueError("torque belongs to a rotary cylinder; a linear one has air_stiffness")
         if (self.air_stiffness is None) == (self.torque is None):
-            either = " or torque" if turns else ""
+            either = " or torque" if rotary else ""
             raise ValueError(
                 f"air_stiffness{either} is missing"
                 if self.torque is None
@@ -311,8 +311,8 @@ class Cylinder:
     def longest_rest_s(self, forward: bool) -> float:
         """Return ``rest_s`` with every number at the end of its tolerance that makes it longer."""
         closes = self.way(forward).closes
-        shut_s = 0.0 if closes is None else closes.most
-        return shut_s + self.delay.most + REST_LAGS * self.lag.most
+        closing_s = 0.0 if closes is None else closes.most
+        return closing_s + self.delay.most + REST_LAGS * self.lag.most
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
@@ -366,28 +366,28 @@ def check_contacts(
     for name, contact in contacts.items():
         if contact.cylinder is None or contact.at is None:
             continue
-        one = cylinders[contact.cylinder]
-        if contact.at.unit != one.stroke.unit:
+        part = cylinders[contact.cylinder]
+        if contact.at.unit != part.stroke.unit:
             raise ValueError(
                 f"contacts.{name}.at: it is in {contact.at.unit}, and the stroke of "
-                f"{contact.cylinder}, a {one.kind} cylinder, in {one.stroke.unit}"
+                f"{contact.cylinder}, a {part.kind} cylinder, in {part.stroke.unit}"
             )
-        stroke, at = one.stroke.si, contact.at.si
+        stroke, at = part.stroke.si, contact.at.si
         if at > stroke or (at == stroke and contact.beyond == "below"):
             raise ValueError(
-                f"contacts.{name}.at: {one.place(at)} is not within the stroke of "
-                f"{contact.cylinder}, {one.place(stroke)}, so that the switch would always be "
+                f"contacts.{name}.at: {part.place(at)} is not within the stroke of "
+                f"{contact.cylinder}, {part.place(stroke)}, so that the switch would always be "
                 f"{'on' if contact.beyond == 'below' else 'off'}"
             )
-    parts = [(f"cylinders.{name}", name, one.needs) for name, one in cylinders.items()]
-    parts += [(f"outputs.{name}", "", one.needs) for name, one in outputs.items()]
+    parts = [(f"cylinders.{name}", name, part.needs) for name, part in cylinders.items()]
+    parts += [(f"outputs.{name}", "", part.needs) for name, part in outputs.items()]
     for where, own, needs in parts:
         for name in needs:
             if name not in contacts or contacts[name].cylinder is None:
-                known = [n for n, c in contacts.items() if c.cylinder not in {None, own}]
+                end_switches = [n for n, c in contacts.items() if c.cylinder not in {None, own}]
                 raise ValueError(
                     f"{where}.needs names {name!r}, which is not an end switch; "
-                    f"there are: {', '.join(known)}"
+                    f"there are: {', '.join(end_switches)}"
                 )
             if contacts[name].cylinder == own:
                 raise ValueError(
@@ -407,28 +407,28 @@ def switch_faults(
     for name, contact in contacts.items():
         if contact.cylinder is None or contact.at is None:
             continue
-        one = cylinders[contact.cylinder]
-        stroke = one.stroke.si
-        low, high = contact.at.least <= 0.0, contact.at.most >= stroke
-        if contact.at.tolerance_si and (low or high):
-            always = low == (contact.beyond == "above")
+        cylinder = cylinders[contact.cylinder]
+        stroke = cylinder.stroke.si
+        reaches_start, reaches_end = contact.at.least <= 0.0, contact.at.most >= stroke
+        if contact.at.tolerance_si and (reaches_start or reaches_end):
+            always_on = reaches_start == (contact.beyond == "above")
             yield (
                 f"contacts.{name}.at",
-                f"{_within(one, contact.at)} reaches the end of the stroke of {contact.cylinder} "
-                f"at {one.place(0.0 if low else stroke)}, so that the switch may "
-                f"{'always' if always else 'never'} be on",
+                f"{_within(cylinder, contact.at)} reaches the end of the stroke of "
+                f"{contact.cylinder} at {cylinder.place(0.0 if reaches_start else stroke)}, so "
+                f"that the switch may {'always' if always_on else 'never'} be on",
                 "Move the switch into the stroke by more than its tolerance.",
             )
-        for other, far in contacts.items():
-            if far.at is None or far.cylinder != contact.cylinder:
+        for other_name, other_contact in contacts.items():
+            if other_contact.at is None or other_contact.cylinder != contact.cylinder:
                 continue
-            ends = (contact.beyond, far.beyond) == ("below", "above")
-            if ends and contact.at.most >= far.at.least:
+            face_each_other = (contact.beyond, other_contact.beyond) == ("below", "above")
+            if face_each_other and contact.at.most >= other_contact.at.least:
                 yield (
                     f"contacts.{name}.at",
-                    f"on below {_within(one, contact.at)}, and {other} above "
-                    f"{_within(one, far.at)}: both end switches of {contact.cylinder} can be on "
-                    "at once",
+                    f"on below {_within(cylinder, contact.at)}, and {other_name} above "
+                    f"{_within(cylinder, other_contact.at)}: both end switches of "
+                    f"{contact.cylinder} can be on at once",
                     "Move them apart by more than their tolerances.",
                 )
 

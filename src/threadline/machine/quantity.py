@@ -132,14 +132,14 @@ def _check_size(text: str, quantity: Quantity) -> None:
     ValueError
         If the number is too large or small, or a time has too many digits.
     """
-    size, wide = abs(quantity.si), quantity.tolerance_si
-    if size > MOST_SI or wide > MOST_SI or 0.0 < size < LEAST_SI:
+    magnitude, tolerance_si = abs(quantity.si), quantity.tolerance_si
+    if magnitude > MOST_SI or tolerance_si > MOST_SI or 0.0 < magnitude < LEAST_SI:
         raise ValueError(
             f"{text[:_SHOWN]!r} is {quantity.si:g} in SI units; a machine's numbers are 0 or from "
             f"{LEAST_SI:g} to {MOST_SI:g}."
         )
-    exact = quantity.exact_s
-    if exact is not None and exact.denominator > _MOST_PARTS:
+    exact_s = quantity.exact_s
+    if exact_s is not None and exact_s.denominator > _MOST_PARTS:
         raise ValueError(
             f"{text[:_SHOWN]!r} has too many digits for a time: the finest part of a "
             f"second is 1/{_MOST_PARTS:.0e}. Give fewer digits."
@@ -153,27 +153,29 @@ def _faulty(text: str) -> UnitError:
     tolerance = _TOLERANCE.search(head)
     if tolerance is not None:
         refuse_decimal_comma(text[tolerance.end() :])
-    word = tail.partition(":")[0].strip()
-    lacks = [] if tolerance else ["no tolerance"]
-    if word not in list(Provenance):
+    provenance = tail.partition(":")[0].strip()
+    missing_parts = [] if tolerance else ["no tolerance"]
+    if provenance not in list(Provenance):
         # The comma before it, or the colon after it, may be missing.
-        lacks.append("no provenance" if not word else f"no provenance but {word[:40]!r}")
+        missing_parts.append(
+            "no provenance" if not provenance else f"no provenance but {provenance[:40]!r}"
+        )
     return UnitError(
-        f"{text!r} has {' and '.join(lacks) or 'another form'}",
+        f"{text!r} has {' and '.join(missing_parts) or 'another form'}",
         remedy=f"The provenance is {_WORDS}. {_EXAMPLE}",
     )
 
 
 def _matching_unit(written: str, units: tuple[str, ...]) -> str:
-    _, found = split_quantity(written)
+    _, written_unit = split_quantity(written)
     for unit in units:
-        if (not found and not unit) or (found and same_dimension(found, unit)):
+        if (not written_unit and not unit) or (written_unit and same_dimension(written_unit, unit)):
             return unit
-    meant = next(filter(None, (respelt_unit(found, unit) for unit in units)), "")
-    if meant:
-        raise UnitError(f"unknown unit {found!r}", remedy=f"Did you mean {meant!r}?")
-    wanted = " or ".join(repr(unit) if unit else "a plain number" for unit in units)
-    raise UnitError(f"{written!r} is not in {wanted}", remedy=f"Give it in {wanted}.")
+    meant_unit = next(filter(None, (respelt_unit(written_unit, unit) for unit in units)), "")
+    if meant_unit:
+        raise UnitError(f"unknown unit {written_unit!r}", remedy=f"Did you mean {meant_unit!r}?")
+    allowed_units = " or ".join(repr(unit) if unit else "a plain number" for unit in units)
+    raise UnitError(f"{written!r} is not in {allowed_units}", remedy=f"Give it in {allowed_units}.")
 
 
 @dataclass(frozen=True, slots=True)

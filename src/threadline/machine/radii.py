@@ -80,23 +80,23 @@ def _with_radius(axis: Axis, written: str, machine: Machine, option: str) -> Axi
         return replace(axis, radius=_length(written, option, positive=True), profile=None)
     matches = [_PLACE.fullmatch(place.strip()) for place in written.split(";")]
     places = [match for match in matches if match is not None]
-    along = {match["along"] for match in places}
-    if len(places) < len(matches) or len(along) > 1:
+    along_axes = {match["along"] for match in places}
+    if len(places) < len(matches) or len(along_axes) > 1:
         raise OptionError(f"{option} is not a profile along one axis", remedy=_FORM)
-    beside = along.pop()
-    if beside not in machine.axes or machine.axes[beside].kind != "linear":
+    along_axis = along_axes.pop()
+    if along_axis not in machine.axes or machine.axes[along_axis].kind != "linear":
         raise OptionError(
-            f"{option} is along {beside}, not a linear axis of {machine.name!r}", remedy=_FORM
+            f"{option} is along {along_axis}, not a linear axis of {machine.name!r}", remedy=_FORM
         )
     try:
         profile = Mandrel(
-            along=beside,
+            along=along_axis,
             at=tuple(_length(match["at"], option) for match in places),
             radius=tuple(_length(match["radius"], option, positive=True) for match in places),
         )
     except ValidationError as error:
-        said = str(error.errors()[0]["msg"]).removeprefix("Value error, ")
-        raise OptionError(f"{option}: {said}", remedy=_FORM) from error
+        reason = str(error.errors()[0]["msg"]).removeprefix("Value error, ")
+        raise OptionError(f"{option}: {reason}", remedy=_FORM) from error
     return replace(axis, radius=None, profile=profile)
 
 
@@ -115,13 +115,13 @@ def _rows(table: Path) -> str:
     text = read_text(table, _MOST_BYTES, OptionError, "table of radii", "utf-8-sig")
     rows = [row for row in csv.reader(text.splitlines()) if any(map(str.strip, row))]
     header = [name.strip() for name in rows[0]] if rows else []
-    named = [match["along"] for name in header if (match := _COLUMN.fullmatch(name))]
-    if len(header) != 2 or len(named) != 1 or _RADIUS not in header:
+    along_axes = [match["along"] for name in header if (match := _COLUMN.fullmatch(name))]
+    if len(header) != 2 or len(along_axes) != 1 or _RADIUS not in header:
         raise OptionError(
             f"{table}: a table of radii has the columns X_mm and {_RADIUS}",
             remedy=f"Begin it with the line X_mm,{_RADIUS} (X: the axis along the mandrel).",
         )
-    radius, place = header.index(_RADIUS), 1 - header.index(_RADIUS)
+    radius_column, place_column = header.index(_RADIUS), 1 - header.index(_RADIUS)
     parts = []
     for number, row in enumerate(rows[1:], start=2):
         if len(row) != len(header) or any("," in cell or ";" in cell for cell in row):
@@ -129,5 +129,7 @@ def _rows(table: Path) -> str:
                 f"{table}: row {number} has {len(row)} columns, the header has {len(header)}",
                 remedy="Give each row a position and a radius, with decimal points.",
             )
-        parts.append(f"{row[radius].strip()} mm at {named[0]} {row[place].strip()} mm")
+        parts.append(
+            f"{row[radius_column].strip()} mm at {along_axes[0]} {row[place_column].strip()} mm"
+        )
     return "; ".join(parts)

@@ -104,17 +104,17 @@ class Stepper:
         """
         speed = np.abs(np.asarray(speed_si, dtype=np.float64))
         if self.curve:
-            at = [point.speed.si for point in self.curve]
-            torque = [point.torque.si for point in self.curve]
-            return np.where(speed <= at[-1], np.interp(speed, at, torque), 0.0)
+            speeds = [point.speed.si for point in self.curve]
+            torques = [point.torque.si for point in self.curve]
+            return np.where(speed <= speeds[-1], np.interp(speed, speeds, torques), 0.0)
         assert self.winding is not None
         return pull_out_torque(self.winding, self.full_steps.si, speed)
 
     @property
     def stiffness(self) -> float:
         """Stiffness at a step in N m/rad (N/m): the slope of a sine with four steps per period."""
-        held = self.curve[0].torque if self.winding is None else self.winding.holding_torque
-        return float(held.si * self.full_steps.si * np.pi / 2.0)
+        holding = self.curve[0].torque if self.winding is None else self.winding.holding_torque
+        return float(holding.si * self.full_steps.si * np.pi / 2.0)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
@@ -172,17 +172,17 @@ def check_limits_only(
     ValueError
         If there are such parts; the message begins with the key.
     """
-    why = "is not allowed with kinematic drives, for which only limits are known"
+    reason = "is not allowed with kinematic drives, for which only limits are known"
     for name, drive in drives.items():
         if not isinstance(drive, Kinematic):
-            raise ValueError(f"drives.{name}: a drive of another kind {why}: use one kind")
+            raise ValueError(f"drives.{name}: a drive of another kind {reason}: use one kind")
     for name, axis in axes.items():
         for key, weights in (("load", axis.load), ("frame", axis.frame)):
             if weights is not None:
-                raise ValueError(f"axes.{name}.{key}: a {key} {why}: remove it")
+                raise ValueError(f"axes.{name}.{key}: a {key} {reason}: remove it")
     for table, parts in tables.items():
         if parts:
-            raise ValueError(f"{table}: [{table}] {why}: remove it")
+            raise ValueError(f"{table}: [{table}] {reason}: remove it")
 
 
 def pull_out_torque(winding: Winding, full_steps: float, speed: FloatArray) -> FloatArray:
@@ -204,28 +204,34 @@ def pull_out_torque(winding: Winding, full_steps: float, speed: FloatArray) -> F
     speed
         (k,) speeds in rad/s, not negative.
     """
-    most, volts = winding.current.si, winding.supply.si
-    k, resistance = winding.holding_torque.si / most, winding.resistance.si
+    limit_a, supply_v = winding.current.si, winding.supply.si
+    k, resistance = winding.holding_torque.si / limit_a, winding.resistance.si
     w = np.asarray(speed, dtype=np.float64)
     # A turn has 2 pi full_steps steps, and an electrical turn has four.
     reactance = w * (2.0 * np.pi * full_steps / 4.0 * winding.inductance.si)
-    size = np.sqrt(resistance * resistance + reactance * reactance)
-    radius = volts / size
+    impedance_ohm = np.sqrt(resistance * resistance + reactance * reactance)
+    radius_a = supply_v / impedance_ohm
     # The voltage disc has its centre at -j k w / (R + j w_e L), with coordinates across and up.
-    share = -k * w / (size * size)
+    share = -k * w / (impedance_ohm * impedance_ohm)
     across, up = share * reactance, share * resistance
-    top = up + radius
-    found = np.where(across * across + top * top <= most * most, top, -np.inf)
-    inside = across * across + (most - up) ** 2 <= radius * radius
-    found = np.where(inside, most, found)
+    top_a = up + radius_a
+    highest_a = np.where(across * across + top_a * top_a <= limit_a * limit_a, top_a, -np.inf)
+    limit_inside = across * across + (limit_a - up) ** 2 <= radius_a * radius_a
+    highest_a = np.where(limit_inside, limit_a, highest_a)
     # If neither top lies in the other disc, the highest point is an intersection of the circles.
-    neither = np.flatnonzero(np.isneginf(found))
-    if len(neither):
-        across, up, radius = across.flat[neither], up.flat[neither], radius.flat[neither]
-        apart = np.hypot(across, up)
+    neither_inside = np.flatnonzero(np.isneginf(highest_a))
+    if len(neither_inside):
+        across, up, radius_a = (
+            across.flat[neither_inside],
+            up.flat[neither_inside],
+            radius_a.flat[neither_inside],
+        )
+        distance_a = np.hypot(across, up)
         with np.errstate(divide="ignore", invalid="ignore"):
-            along = (most * most - radius * radius + apart * apart) / (2.0 * apart)
-            aside = np.sqrt(most * most - along * along)
-            crossing = (up * along + np.abs(across) * aside) / apart
-        found.flat[neither] = np.where(np.isfinite(crossing), crossing, 0.0)
-    return np.asarray(k * np.maximum(found, 0.0))
+            along = (limit_a * limit_a - radius_a * radius_a + distance_a * distance_a) / (
+                2.0 * distance_a
+            )
+            aside = np.sqrt(limit_a * limit_a - along * along)
+            crossing = (up * along + np.abs(across) * aside) / distance_a
+        highest_a.flat[neither_inside] = np.where(np.isfinite(crossing), crossing, 0.0)
+    return np.asarray(k * np.maximum(highest_a, 0.0))

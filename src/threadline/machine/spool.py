@@ -97,10 +97,10 @@ class Spool:
         release = 0.0 if arm.release is None else arm.release.si
         torque = self.torque.si + release * 0.5 * arm.travel.si
         k = arm.stiffness.si
-        stands = (STRANDS * torque / r - arm.preload.si) / (k + STRANDS * release / r)
-        way = min(max(stands, 0.0), arm.travel.si)
+        balance_m = (STRANDS * torque / r - arm.preload.si) / (k + STRANDS * release / r)
+        roller_m = min(max(balance_m, 0.0), arm.travel.si)
         share = 0.0 if self.friction is None else self.friction.si
-        return (1.0 + share) * max(torque - release * way, 0.0) / r
+        return (1.0 + share) * max(torque - release * roller_m, 0.0) / r
 
     @property
     def take_up_m(self) -> float:

@@ -104,10 +104,10 @@ class DesignSettings:
                     f"{name}: it runs from {pair[0].si:g} to {pair[1].si:g} {pair[0].unit}"
                 )
         if self.phase_margin is not None:
-            most = math.degrees(self.phase_margin[1].si)
-            if most > MOST_MARGIN_DEG * (1.0 + 1e-9):
+            largest_deg = math.degrees(self.phase_margin[1].si)
+            if largest_deg > MOST_MARGIN_DEG * (1.0 + 1e-9):
                 raise ValueError(
-                    f"phase_margin: it reaches {most:g} deg, limit {MOST_MARGIN_DEG:g} deg"
+                    f"phase_margin: it reaches {largest_deg:g} deg, limit {MOST_MARGIN_DEG:g} deg"
                 )
         return self
 
@@ -150,11 +150,11 @@ class Design:
                         f"known.{title}.factors: {name!r} is not a parameter; there are: "
                         f"{', '.join(self.parameters)}"
                     )
-        loose = [name for name, parameter in self.parameters.items() if parameter.spread > 0]
-        if len(loose) > MOST_TOLERANCES:
+        toleranced = [name for name, parameter in self.parameters.items() if parameter.spread > 0]
+        if len(toleranced) > MOST_TOLERANCES:
             raise ValueError(
-                f"parameters.{loose[MOST_TOLERANCES]}.tolerance: {len(loose)} parameters have a "
-                f"tolerance, limit {MOST_TOLERANCES}"
+                f"parameters.{toleranced[MOST_TOLERANCES]}.tolerance: {len(toleranced)} parameters "
+                f"have a tolerance, limit {MOST_TOLERANCES}"
             )
         return self
 
@@ -236,5 +236,5 @@ def quantities(part: Any, path: str = "") -> Iterator[tuple[str, Quantity]]:
             yield from quantities(value, f"{path}.{index}")
     elif is_dataclass(part):
         for field in fields(part):
-            where = f"{path}.{field.name}" if path else field.name
-            yield from quantities(getattr(part, field.name), where)
+            field_path = f"{path}.{field.name}" if path else field.name
+            yield from quantities(getattr(part, field.name), field_path)

@@ -157,9 +157,9 @@ class Tool:
         if self.across is None and self.payout is None:
             raise ValueError('an eye needs across, like across = { axis = "Y" }, or a payout')
         for name, part in zip(EYE_PARTS, self.parts, strict=True):
-            wanted = "rad" if name in _TURNS else "m"
-            if part is not None and part.zero is not None and part.zero.unit != wanted:
-                raise ValueError(f"{name}.zero is in {wanted}, not {part.zero.unit}")
+            unit = "rad" if name in _TURNS else "m"
+            if part is not None and part.zero is not None and part.zero.unit != unit:
+                raise ValueError(f"{name}.zero is in {unit}, not {part.zero.unit}")
         return self
 
     @property
@@ -183,15 +183,19 @@ class Tool:
         if roller is None:
             return 1.0, 0.0, 0.0, 0.0
         # Axis x across is up for an axis along the mandrel, and against along for an upright one.
-        plus = (roller.side == "+") == (roller.axis == "along")
-        size = roller.radius.si if plus else -roller.radius.si
-        return (1.0, 0.0, 0.0, size) if roller.axis == "along" else (0.0, 0.0, 1.0, size)
+        on_plus_side = (roller.side == "+") == (roller.axis == "along")
+        signed_radius_m = roller.radius.si if on_plus_side else -roller.radius.si
+        return (
+            (1.0, 0.0, 0.0, signed_radius_m)
+            if roller.axis == "along"
+            else (0.0, 0.0, 1.0, signed_radius_m)
+        )
 
     @property
     def body_m(self) -> float:
         """Radius of the eye about its pay-out point, at least the radius of its roller."""
-        own = 0.0 if self.body is None else self.body.si
-        return max(own, abs(self.roller_m[3]))
+        own_radius_m = 0.0 if self.body is None else self.body.si
+        return max(own_radius_m, abs(self.roller_m[3]))
 
     @property
     def arm_m(self) -> tuple[float, float]:
@@ -225,13 +229,13 @@ def check_eye(tool: Tool | None, axes: Mapping[str, Axis]) -> None:
     for name, part in zip(EYE_PARTS, tool.parts, strict=True):
         if part is None:
             continue
-        at = f"tool.{name}.axis"
-        check_known([part.axis], axes, at, "axis")
+        key = f"tool.{name}.axis"
+        check_known([part.axis], axes, key, "axis")
         kind = "rotary" if name in _TURNS else "linear"
         if axes[part.axis].kind != kind:
-            raise ValueError(f"{at}: {part.axis} is a {axes[part.axis].kind} axis, not {kind}")
+            raise ValueError(f"{key}: {part.axis} is a {axes[part.axis].kind} axis, not {kind}")
         if part.axis in used:
-            raise ValueError(f"{at}: {part.axis} is the axis of {used[part.axis]} already")
+            raise ValueError(f"{key}: {part.axis} is the axis of {used[part.axis]} already")
         used[part.axis] = name
 
 
@@ -367,15 +371,15 @@ class AxisArrays:
     @property
     def sides(self) -> tuple[FloatArray, FloatArray]:
         """(axes,) m/s^2 or rad/s^2: the limits of speeding up, and of braking."""
-        braking = [axis.deceleration or axis.acceleration for axis in self.axes.values()]
-        return self._column("acceleration"), np.array([limit.si for limit in braking])
+        braking_limits = [axis.deceleration or axis.acceleration for axis in self.axes.values()]
+        return self._column("acceleration"), np.array([limit.si for limit in braking_limits])
 
     def least_acceleration(self, axes: Sequence[str]) -> float:
         """Return the lowest acceleration or deceleration limit of ``axes`` and the path, m/s^2."""
-        column = [list(self.axes).index(axis) for axis in axes]
-        own = [] if self.path is None else [self.path.acceleration, self.path.deceleration]
-        along = [limit.si for limit in own if limit is not None]
-        return min([float(self.acceleration_limit[column].min()), *along])
+        columns = [list(self.axes).index(axis) for axis in axes]
+        path_limits = [] if self.path is None else [self.path.acceleration, self.path.deceleration]
+        path_limits_m_s2 = [limit.si for limit in path_limits if limit is not None]
+        return min([float(self.acceleration_limit[columns].min()), *path_limits_m_s2])
 
     @property
     def jerk_limit(self) -> FloatArray:

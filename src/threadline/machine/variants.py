@@ -120,7 +120,7 @@ _RECENT: Recent[Machine, tuple[Uncertain, ...]] = Recent(4, lambda a, b: a is b)
 
 def _uncertain(machine: Machine) -> tuple[Uncertain, ...]:
     rules = machine.tolerances
-    found: dict[str, list[str]] = {}
+    paths_of: dict[str, list[str]] = {}
     for path, quantity in _numbers(machine):
         if quantity.tolerance_si == 0.0 or matches(path, rules.exclude):
             continue
@@ -128,24 +128,24 @@ def _uncertain(machine: Machine) -> tuple[Uncertain, ...]:
             continue
         _check(machine, path)
         group = next((n for n, m in rules.groups.items() if matches(path, m)), path)
-        found.setdefault(group, []).append(path)
+        paths_of.setdefault(group, []).append(path)
     return tuple(
         Uncertain(name=name, numbers=tuple(paths), normal=_normal(machine, name, paths))
-        for name, paths in found.items()
+        for name, paths in paths_of.items()
     )
 
 
 def not_drawn(machine: Machine) -> dict[str, str]:
     """Return the numbers with a tolerance that do not vary, each with its reason."""
-    found = {}
+    reasons = {}
     for path, quantity in _numbers(machine):
         if quantity.tolerance_si == 0.0:
             continue
         if matches(path, machine.tolerances.exclude):
-            found[path] = "excluded by the machine file"
+            reasons[path] = "excluded by the machine file"
         elif matches(path, _PLANNED):
-            found[path] = "it affects only plans"
-    return found
+            reasons[path] = "it affects only plans"
+    return reasons
 
 
 def check_uncertain(machine: Machine) -> tuple[Uncertain, ...]:
@@ -156,14 +156,14 @@ def check_uncertain(machine: Machine) -> tuple[Uncertain, ...]:
     OptionError
         If nothing varies, or a number cannot vary.
     """
-    found = uncertain(machine)
-    if not found:
+    varying = uncertain(machine)
+    if not varying:
         raise OptionError(
             f"no number of {machine.name} has a tolerance",
             place=machine.place,
             remedy='Write tolerances in the machine file: "111 kg +- 10 %".',
         )
-    return found
+    return varying
 
 
 def drawn(machine: Machine, seed: int, index: IntArray) -> FloatArray:
@@ -189,21 +189,21 @@ def drawn(machine: Machine, seed: int, index: IntArray) -> FloatArray:
     from scipy.special import ndtr, ndtri  # slow to import, and needed by few commands
 
     numbers = uncertain(machine)
-    wanted = [int(i) for i in np.asarray(index).ravel()]
-    for value, what in ((seed, "seed"), *((i, "index") for i in wanted)):
+    indices = [int(i) for i in np.asarray(index).ravel()]
+    for value, what in ((seed, "seed"), *((i, "index") for i in indices)):
         if not 0 <= value < 1 << 64:
             raise OptionError(f"the {what} of a variant is {value}, not from 0 to 2**64 - 1")
-    parts = np.empty((len(wanted), len(numbers)))
-    for row, one in zip(parts, wanted, strict=True):
+    parts = np.empty((len(indices), len(numbers)))
+    for row, one in zip(parts, indices, strict=True):
         key = np.array([seed, one], dtype=np.uint64)
         row[:] = np.random.Generator(np.random.Philox(key=key)).random(len(numbers))
     normal = np.array([number.normal for number in numbers], dtype=bool)
     low, high = ndtr(-FARTHEST), ndtr(FARTHEST)
-    gauss = ndtri(low + (high - low) * parts[:, normal]) / _PER_PART
+    normal_parts = ndtri(low + (high - low) * parts[:, normal]) / _PER_PART
     parts = 2.0 * parts - 1.0
-    parts[:, normal] = gauss
-    late = np.array([all(path.endswith(TIMES) for path in one.numbers) for one in numbers], bool)
-    parts[:, late] = np.round(DRAWN_STEPS * parts[:, late]) / DRAWN_STEPS
+    parts[:, normal] = normal_parts
+    is_time = np.array([all(path.endswith(TIMES) for path in one.numbers) for one in numbers], bool)
+    parts[:, is_time] = np.round(DRAWN_STEPS * parts[:, is_time]) / DRAWN_STEPS
     return parts
 
 
@@ -250,26 +250,29 @@ def numbers_at(machine: Machine, parts: FloatArray) -> dict[str, FloatArray]:
     ValueError
         If the number of columns of ``parts`` is wrong.
     """
-    table = np.atleast_2d(np.asarray(parts, dtype=np.float64))
+    part_rows = np.atleast_2d(np.asarray(parts, dtype=np.float64))
     numbers = uncertain(machine)
-    if table.shape[1] != len(numbers):
-        raise ValueError(f"parts are for {table.shape[1]} numbers, the machine has {len(numbers)}")
-    found = {}
-    for column, number in zip(table.T, numbers, strict=True):
+    if part_rows.shape[1] != len(numbers):
+        raise ValueError(
+            f"parts are for {part_rows.shape[1]} numbers, the machine has {len(numbers)}"
+        )
+    values = {}
+    for column, number in zip(part_rows.T, numbers, strict=True):
         for path in number.numbers:
             quantity = number_at(machine, path)
             if path.endswith(TIMES):
-                drawn_parts, which = np.unique(column, return_inverse=True)  # few, of many machines
-                delays = [float(_delay(quantity, part)) for part in drawn_parts]
-                found[path] = np.array(delays)[which.ravel()]
+                # Few, of many machines.
+                distinct_parts, part_index = np.unique(column, return_inverse=True)
+                delays = [float(_delay(quantity, part)) for part in distinct_parts]
+                values[path] = np.array(delays)[part_index.ravel()]
             else:
-                found[path] = quantity.si + column * quantity.tolerance_si
-    for path in [name for name in found if name.endswith(_STICTION)]:
+                values[path] = quantity.si + column * quantity.tolerance_si
+    for path in [name for name in values if name.endswith(_STICTION)]:
         # Stiction is never below friction, even where their tolerances overlap.
-        slides = path.removesuffix(_STICTION) + _FRICTION
-        least = found.get(slides, number_at(machine, slides).si)
-        found[path] = np.maximum(found[path], least)
-    return found
+        friction_path = path.removesuffix(_STICTION) + _FRICTION
+        friction_si = values.get(friction_path, number_at(machine, friction_path).si)
+        values[path] = np.maximum(values[path], friction_si)
+    return values
 
 
 def variant(machine: Machine, parts: FloatArray) -> Machine:
@@ -280,13 +283,13 @@ def variant(machine: Machine, parts: FloatArray) -> Machine:
     commands move its load to another position.
     """
     numbers = {name: float(values[0]) for name, values in numbers_at(machine, parts).items()}
-    scales = {name: numbers.pop(name) for name in list(numbers) if matches(name, (_COUNTS,))}
-    made = with_numbers(machine, {**numbers, **scales})
+    count_scales = {name: numbers.pop(name) for name in list(numbers) if matches(name, (_COUNTS,))}
+    new_machine = with_numbers(machine, {**numbers, **count_scales})
     axes = dict(machine.axes)
-    for name in scales:
+    for name in count_scales:
         axis = name.split(".")[1]
-        axes[axis] = replace(machine.axes[axis], load=load_by_counts(made, axis))
-    return replace(made, axes=axes)
+        axes[axis] = replace(machine.axes[axis], load=load_by_counts(new_machine, axis))
+    return replace(new_machine, axes=axes)
 
 
 def load_by_counts(machine: Machine, axis: str) -> dict[str, Quantity]:
@@ -321,33 +324,33 @@ def _numbers(machine: Machine) -> list[tuple[str, Quantity]]:
 
 
 def _check(machine: Machine, path: str) -> None:
-    why = ""
+    reason = ""
     if path.startswith("clocks."):
-        why = "all times are counted in clock periods"
+        reason = "all times are counted in clock periods"
     elif matches(path, (_COUNTS,)):
         if machine.axes[path.split(".")[1]].load is not None:
-            why = "its load defines the position, not its counts"
+            reason = "its load defines the position, not its counts"
     elif not matches(path, _MACHINE):
-        why = "no part of the simulated machine depends on it"
+        reason = "no part of the simulated machine depends on it"
     elif is_whole(machine, path):
-        why = "it must be a whole number"
-    if why:
+        reason = "it must be a whole number"
+    if reason:
         raise OptionError(
-            f"{path} has a tolerance but cannot vary: {why}",
+            f"{path} has a tolerance but cannot vary: {reason}",
             place=place_in(machine, path),
             remedy="Make it exact, or name it under [tolerances] exclude.",
         )
 
 
 def _normal(machine: Machine, name: str, paths: list[str]) -> bool:
-    normal = [matches(path, machine.tolerances.normal) for path in paths]
-    if any(normal) and not all(normal):
+    is_normal = [matches(path, machine.tolerances.normal) for path in paths]
+    if any(is_normal) and not all(is_normal):
         raise OptionError(
-            f"the group {name!r} varies together, but {paths[normal.index(True)]} is normal and "
-            f"{paths[normal.index(False)]} is not",
+            f"the group {name!r} varies together, but {paths[is_normal.index(True)]} is normal and "
+            f"{paths[is_normal.index(False)]} is not",
             remedy="Name all of them under [tolerances] normal, or none.",
         )
-    for path in paths if any(normal) else ():
+    for path in paths if any(is_normal) else ():
         quantity = number_at(machine, path)
         if 0.0 < quantity.si <= quantity.tolerance_si * FARTHEST / _PER_PART:
             raise OptionError(
@@ -356,13 +359,13 @@ def _normal(machine: Machine, name: str, paths: list[str]) -> bool:
                 place=place_in(machine, path),
                 remedy="Give it a smaller tolerance, or remove it from [tolerances] normal.",
             )
-    return any(normal)
+    return any(is_normal)
 
 
-def _per(length: str, reads: str) -> str:
+def _per(axis_unit: str, reads_unit: str) -> str:
     """Return the unit of a weight in ``load``, for an axis and a body that are in m or rad each."""
-    body = reads.removeprefix("count/")
-    return "" if body == length else f"{length}/{body}"
+    body_unit = reads_unit.removeprefix("count/")
+    return "" if body_unit == axis_unit else f"{axis_unit}/{body_unit}"
 
 
 def _delay(quantity: Quantity, part: float) -> Fraction:

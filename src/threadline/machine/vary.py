@@ -137,8 +137,8 @@ def vary(
         )
     for name, source in machine.position_sources.items():
         if isinstance(source, Stepper) and source.winding is not None:
-            volts = source.winding.supply
-            winding = replace(source.winding, supply=replace(volts, si=volts.si * supply))
+            voltage = source.winding.supply
+            winding = replace(source.winding, supply=replace(voltage, si=voltage.si * supply))
             drives[name] = replace(source, winding=winding)
     cylinders = {
         name: replace(
@@ -160,17 +160,17 @@ def varied_numbers(machine: Machine, days: Days) -> dict[str, FloatArray]:
     The result has the (days,) SI values of each dotted name.
     """
     friction, supply = days.friction, days.supply
-    found: dict[str, FloatArray] = {}
+    values: dict[str, FloatArray] = {}
     spool = machine.spool
     factors = {"torque": days.tension, "stiction": days.tension, "friction": friction}
     for key, factor in factors.items() if spool is not None else ():
         number = getattr(spool, key)
         if number is not None:
-            found[f"spool.{key}"] = number.si * factor
+            values[f"spool.{key}"] = number.si * factor
     for name, body in machine.bodies.items():
         for key, quantity in (("friction", body.friction), ("stiction", body.stiction)):
             if quantity is not None:
-                found[f"bodies.{name}.{key}"] = quantity.si * friction
+                values[f"bodies.{name}.{key}"] = quantity.si * friction
     for name, drive in machine.motors.items():
         limits = drive.amplifier
         for key, quantity in (
@@ -178,8 +178,8 @@ def varied_numbers(machine: Machine, days: Days) -> dict[str, FloatArray]:
             ("current_limit", limits.current_limit),
         ):
             if quantity is not None:
-                found[f"drives.{name}.amplifier.{key}"] = quantity.si * supply
-    return found
+                values[f"drives.{name}.amplifier.{key}"] = quantity.si * supply
+    return values
 
 
 def off_tolerance(machine: Machine, *, mass: float = 0.0, stiffness: float = 0.0) -> Machine:
@@ -227,13 +227,13 @@ def corners(machine: Machine, share: float = 1.0) -> list[Machine]:
         If no number of a load or a spring has a tolerance.
     """
     ends = (0.0, -share, share)
-    found = [off_tolerance(machine, mass=m, stiffness=k) for m in ends for k in ends]
-    if found[-1] == machine:
+    machines = [off_tolerance(machine, mass=m, stiffness=k) for m in ends for k in ends]
+    if machines[-1] == machine:
         raise OptionError(
             f"loads and springs of {machine.name} have no tolerances",
             remedy='Write them in the machine file: "111 kg +- 10 %".',
         )
-    return found
+    return machines
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -263,17 +263,19 @@ def ends_of(machine: Machine, share: float) -> Others:
     OptionError
         If no number of a load or a spring has a tolerance.
     """
-    words = [
+    descriptions = [
         " and ".join(filter(None, (mass, spring)))
         for mass in ("", "lighter loads", "heavier loads")
         for spring in ("", "softer springs", "stiffer springs")
     ]
     name = "at the ends of the tolerances of loads and springs"
-    found: list[tuple[str, Machine]] = []
-    for word, other in zip(words, corners(machine, share), strict=True):
-        if other != machine and all(other != known for _, known in found):
-            found.append((word, other))
-    return Others(name=name, machines=tuple(found))
+    others: list[tuple[str, Machine]] = []
+    for description, end_machine in zip(descriptions, corners(machine, share), strict=True):
+        if end_machine != machine and all(
+            end_machine != known_machine for _, known_machine in others
+        ):
+            others.append((description, end_machine))
+    return Others(name=name, machines=tuple(others))
 
 
 _BAND = 17  # number of machines in a band
@@ -343,13 +345,16 @@ def with_reserve(machine: Machine, reserve: tuple[float, float] | None) -> Machi
     """
     if reserve is None:
         return machine
-    volts, current = (
+    voltage_reserve, current_reserve = (
         Quantity(si=share, unit="", tolerance_si=0.0, provenance=Provenance.ASSUMED)
         for share in reserve
     )
     drives = {
         name: replace(
-            drive, amplifier=replace(drive.amplifier, reserve=volts, current_reserve=current)
+            drive,
+            amplifier=replace(
+                drive.amplifier, reserve=voltage_reserve, current_reserve=current_reserve
+            ),
         )
         if isinstance(drive, DcMotor)
         else drive
@@ -384,16 +389,16 @@ def derate(machine: Machine, share: float) -> Machine:
         )
         for name, axis in machine.axes.items()
     }
-    along = machine.path
-    if along is not None:
-        along = replace(
-            along,
-            acceleration=_scaled(along.acceleration, share),
-            deceleration=_scaled(along.deceleration, share),
-            jerk=_scaled(along.jerk, share),
-            centripetal=_scaled(along.centripetal, share),
+    path_limits = machine.path
+    if path_limits is not None:
+        path_limits = replace(
+            path_limits,
+            acceleration=_scaled(path_limits.acceleration, share),
+            deceleration=_scaled(path_limits.deceleration, share),
+            jerk=_scaled(path_limits.jerk, share),
+            centripetal=_scaled(path_limits.centripetal, share),
         )
-    return replace(machine, axes=axes, path=along)
+    return replace(machine, axes=axes, path=path_limits)
 
 
 def _carrying(machine: Machine, axis: str) -> Iterable[str]:
@@ -404,13 +409,13 @@ def _carrying(machine: Machine, axis: str) -> Iterable[str]:
     return machine.drive_of(axis).acts_on if source is None else (source.body,)
 
 
-def _air(cylinder: Cylinder, changed: Callable[[Quantity], Quantity]) -> dict[str, Any]:
+def _air(cylinder: Cylinder, change: Callable[[Quantity], Quantity]) -> dict[str, Any]:
     """Return the field to replace when the air's stiffness changes: it, or the pressure."""
     if cylinder.torque is not None:
-        torque = replace(cylinder.torque, pressure=changed(cylinder.torque.pressure))
+        torque = replace(cylinder.torque, pressure=change(cylinder.torque.pressure))
         return {"torque": torque}
     assert cylinder.air_stiffness is not None
-    return {"air_stiffness": changed(cylinder.air_stiffness)}
+    return {"air_stiffness": change(cylinder.air_stiffness)}
 
 
 def _off(quantity: Quantity, parts: float) -> Quantity:
@@ -441,33 +446,39 @@ def within_path(machine: Machine, axes: tuple[str, ...], radius_m: FloatArray) -
     braking = any(machine.axes[axis].deceleration is not None for axis in axes)
     if machine.path is None and not braking:
         return machine
-    own = machine.path
-    velocity = jerk = push = None
-    if own is not None:
-        velocity, jerk = own.velocity, own.jerk
-        pushes = [q for q in (own.acceleration, own.deceleration, own.centripetal) if q is not None]
-        push = min(pushes, key=lambda limit: limit.si, default=None)
-    column = [machine.axis_names.index(axis) for axis in axes]
+    path_limits = machine.path
+    velocity = jerk = acceleration = None
+    if path_limits is not None:
+        velocity, jerk = path_limits.velocity, path_limits.jerk
+        accelerations = [
+            q
+            for q in (path_limits.acceleration, path_limits.deceleration, path_limits.centripetal)
+            if q is not None
+        ]
+        acceleration = min(accelerations, key=lambda limit: limit.si, default=None)
+    columns = [machine.axis_names.index(axis) for axis in axes]
     limits = {
-        name: limit[column] if most is None else _shared(limit[column], most.si, radius_m)
-        for name, limit, most in (
+        name: limit[columns]
+        if path_limit is None
+        else _shared(limit[columns], path_limit.si, radius_m)
+        for name, limit, path_limit in (
             ("velocity", machine.velocity_limit, velocity),
-            ("acceleration", machine.acceleration_limit, push),
+            ("acceleration", machine.acceleration_limit, acceleration),
             ("jerk", machine.jerk_limit, jerk),
         )
     }
     limited = {
-        axis: _with(machine.axes[axis], {name: float(of[j]) for name, of in limits.items()})
+        axis: _with(machine.axes[axis], {name: float(values[j]) for name, values in limits.items()})
         for j, axis in enumerate(axes)
     }
     return replace(machine, axes={**machine.axes, **limited}, path=None)
 
 
-def _shared(limit: FloatArray, most: float, radius_m: FloatArray) -> FloatArray:
-    """Return (axes,) limits whose vector at the tool has at most the length ``most``."""
-    alone = np.minimum(limit, most / radius_m)
-    size = float(np.linalg.norm(alone * radius_m))
-    return np.asarray(alone * min(1.0, most / size))
+def _shared(limit: FloatArray, vector_limit: float, radius_m: FloatArray) -> FloatArray:
+    """Return (axes,) limits whose vector at the tool has at most the length ``vector_limit``."""
+    separate_limits = np.minimum(limit, vector_limit / radius_m)
+    vector_length = float(np.linalg.norm(separate_limits * radius_m))
+    return np.asarray(separate_limits * min(1.0, vector_limit / vector_length))
 
 
 def _with(axis: Axis, limits: dict[str, float]) -> Axis:

@@ -62,24 +62,24 @@ def centre_by_radius(start: Point, end: Point, radius: float, clockwise: bool, a
         If no circle of this radius goes through both points, or the points are equal.
     """
     u, v = end[0] - start[0], end[1] - start[1]
-    apart = math.hypot(u, v)
-    if apart == 0.0:
+    chord_mm = math.hypot(u, v)
+    if chord_mm == 0.0:
         raise JobError(
             "an arc with R ends where it begins: its centre may be anywhere",
             place=at,
             remedy="Give the centre of a full circle with I, J or K.",
         )
-    if not apart <= 2.0 * abs(radius) * (1.0 + 1e-6):
+    if not chord_mm <= 2.0 * abs(radius) * (1.0 + 1e-6):
         raise JobError(
-            f"no circle of R {radius:.6g} mm goes through points {apart:.6g} mm apart",
+            f"no circle of R {radius:.6g} mm goes through points {chord_mm:.6g} mm apart",
             place=at,
             remedy="Correct R, or the end of the arc.",
         )
-    rise = math.sqrt(max(0.0, radius**2 - apart**2 / 4.0))
+    apothem_mm = math.sqrt(max(0.0, radius**2 - chord_mm**2 / 4.0))
     side = -1.0 if clockwise == (radius > 0) else 1.0
     return (
-        start[0] + u / 2.0 - side * rise * v / apart,
-        start[1] + v / 2.0 + side * rise * u / apart,
+        start[0] + u / 2.0 - side * apothem_mm * v / chord_mm,
+        start[1] + v / 2.0 + side * apothem_mm * u / chord_mm,
     )
 
 
@@ -92,11 +92,16 @@ def check_centre(start: Point, end: Point, centre: Point, at: Place) -> None:
         If the radii differ by more than 0.5 mm, or by more than both 0.005 mm and 0.1 %, or
         the first radius is 0.
     """
-    first, last = math.dist(start, centre), math.dist(end, centre)
-    off = abs(first - last)
-    if first == 0.0 or off > _OFF_MM or (off > _CLOSE_MM and off > _OFF_SHARE * first):
+    start_radius_mm, end_radius_mm = math.dist(start, centre), math.dist(end, centre)
+    difference_mm = abs(start_radius_mm - end_radius_mm)
+    if (
+        start_radius_mm == 0.0
+        or difference_mm > _OFF_MM
+        or (difference_mm > _CLOSE_MM and difference_mm > _OFF_SHARE * start_radius_mm)
+    ):
         raise JobError(
-            f"the arc begins {first:.6g} mm from its centre and ends {last:.6g} mm from it",
+            f"the arc begins {start_radius_mm:.6g} mm from its centre and ends "
+            f"{end_radius_mm:.6g} mm from it",
             place=at,
             remedy="Correct I, J, K or the end of the arc.",
         )
@@ -118,34 +123,46 @@ def arc(
         a full circle.
     """
     start, end, centre, grammar = circle
-    first, last = math.dist(start, centre), math.dist(end, centre)
-    begin = math.atan2(start[1] - centre[1], start[0] - centre[0])
-    sweep = math.atan2(end[1] - centre[1], end[0] - centre[0]) - begin
-    full = 2.0 * math.pi
+    start_radius_mm, end_radius_mm = math.dist(start, centre), math.dist(end, centre)
+    start_angle_rad = math.atan2(start[1] - centre[1], start[0] - centre[0])
+    sweep = math.atan2(end[1] - centre[1], end[0] - centre[0]) - start_angle_rad
+    full_turn = 2.0 * math.pi
     if clockwise:
         sweep = -sweep
-    sweep = sweep % full
+    sweep = sweep % full_turn
     noise = circle.noise()
     if start == end or (sweep < _NO_SWEEP and not grammar.exact_circles):
-        sweep = full
-    elif sweep < max(_SHORT_SWEEP, noise) or full - sweep < noise:
+        sweep = full_turn
+    elif sweep < max(_SHORT_SWEEP, noise) or full_turn - sweep < noise:
         raise JobError(
             f"the arc turns by {sweep:.3g} rad: the control rounds, and may take it for a full "
-            f"circle of radius {first:.6g} mm, or for none",
+            f"circle of radius {start_radius_mm:.6g} mm, or for none",
             place=at,
             remedy="Write a short arc as G1, and a full circle with an end that is its start.",
         )
-    sweep += full * (turns - 1)
-    radius = max(first, last)
-    bend = 2.0 * math.acos(max(0.0, 1.0 - TOLERANCE_MM / radius)) if radius > TOLERANCE_MM else 1.0
-    count = math.ceil(sweep / bend)
-    _check(count, at)
+    sweep += full_turn * (turns - 1)
+    larger_radius_mm = max(start_radius_mm, end_radius_mm)
+    chord_angle_rad = (
+        2.0 * math.acos(max(0.0, 1.0 - TOLERANCE_MM / larger_radius_mm))
+        if larger_radius_mm > TOLERANCE_MM
+        else 1.0
+    )
+    chord_count = math.ceil(sweep / chord_angle_rad)
+    _check(chord_count, at)
     sign = -1.0 if clockwise else 1.0
-    for k in range(1, count):
-        share = k / count
-        angle = begin + sign * sweep * share
-        r = first if grammar.round_arcs else first + (last - first) * share
-        yield share, centre[0] + r * math.cos(angle), centre[1] + r * math.sin(angle)
+    for k in range(1, chord_count):
+        share = k / chord_count
+        angle = start_angle_rad + sign * sweep * share
+        radius_mm = (
+            start_radius_mm
+            if grammar.round_arcs
+            else start_radius_mm + (end_radius_mm - start_radius_mm) * share
+        )
+        yield (
+            share,
+            centre[0] + radius_mm * math.cos(angle),
+            centre[1] + radius_mm * math.sin(angle),
+        )
 
 
 def spline(
@@ -161,14 +178,14 @@ def spline(
     JobError
         If the spline takes more than ``MOST_CHORDS`` chords.
     """
-    bend = max(
-        math.hypot(*(6.0 * (a - 2.0 * b + c) for a, b, c in zip(*three, strict=True)))
-        for three in ((start, first, second), (first, second, end))
+    second_derivative_mm = max(
+        math.hypot(*(6.0 * (a - 2.0 * b + c) for a, b, c in zip(*control_points, strict=True)))
+        for control_points in ((start, first, second), (first, second, end))
     )
-    count = max(1, math.ceil(math.sqrt(bend / (8.0 * TOLERANCE_MM))))
-    _check(count, at)
-    for k in range(1, count):
-        t = k / count
+    chord_count = max(1, math.ceil(math.sqrt(second_derivative_mm / (8.0 * TOLERANCE_MM))))
+    _check(chord_count, at)
+    for k in range(1, chord_count):
+        t = k / chord_count
         weights = ((1 - t) ** 3, 3 * t * (1 - t) ** 2, 3 * t**2 * (1 - t), t**3)
         x, y = (
             sum(w * p[i] for w, p in zip(weights, (start, first, second, end), strict=True))
@@ -243,8 +260,8 @@ class Curves:
         at = Place(self._reading.file, block.line)
         if motion == 5 and self.plane != 170:
             raise JobError("G5 is a curve of X and Y", place=at, remedy="Write G17 before it.")
-        first, second, own_u, own_v = _PLANES[self.plane]
-        u, v = (self._axis(name, motion, at) for name in (first, second))
+        letter_u, letter_v, centre_u, centre_v = _PLANES[self.plane]
+        u, v = (self._axis(name, motion, at) for name in (letter_u, letter_v))
         words = {letter: value * tenth_mm / (10 * ONE) for letter, value in block.curve}
         start, end = (
             (before[u] / ONE, before[v] / ONE),
@@ -252,19 +269,20 @@ class Curves:
         )
         p = None if block.p is None else block.p
         if motion == 5:
-            shares = self._spline(words, p, tenth_mm, before, after, (start, end), at)
+            chord_ends = self._spline(words, p, tenth_mm, before, after, (start, end), at)
         else:
-            allowed = {own_u, own_v, "R"}
+            allowed = {centre_u, centre_v, "R"}
             if self._reading.dialect.grammar.idle_centre:
                 words = {
                     letter: value for letter, value in words.items() if value or letter in allowed
                 }
-            wrong = [letter for letter in words if letter not in allowed]
-            if wrong:
+            useless_letters = [letter for letter in words if letter not in allowed]
+            if useless_letters:
                 raise JobError(
-                    f"{wrong[0]} has no use in an arc of {first} and {second}",
+                    f"{useless_letters[0]} has no use in an arc of {letter_u} and {letter_v}",
                     place=at,
-                    remedy=f"Its centre is {own_u} {own_v}; G17 G18 G19 choose another plane.",
+                    remedy=f"Its centre is {centre_u} {centre_v}; "
+                    "G17 G18 G19 choose another plane.",
                 )
             dialect = self._reading.dialect
             if p is not None and not dialect.grammar.turns:
@@ -276,9 +294,9 @@ class Curves:
                 )
             if dialect.grammar.arc_ends and not {u, v} & {index for index, _ in block.axes}:
                 raise JobError(
-                    f"{dialect.name} takes no arc without an axis word of {first} or {second}",
+                    f"{dialect.name} takes no arc without an axis word of {letter_u} or {letter_v}",
                     place=at,
-                    remedy=f"Write its end, too, like {first} and {second}.",
+                    remedy=f"Write its end, too, like {letter_u} and {letter_v}.",
                 )
             turns = 1 if p is None else p // ONE
             if p is not None and (p % ONE or not 1 <= turns <= _MOST_TURNS):
@@ -294,16 +312,19 @@ class Curves:
                     )
                 centre = centre_by_radius(start, end, words["R"], motion == 2, at)
             elif words:
-                centre = (start[0] + words.get(own_u, 0.0), start[1] + words.get(own_v, 0.0))
+                centre = (
+                    start[0] + words.get(centre_u, 0.0),
+                    start[1] + words.get(centre_v, 0.0),
+                )
             else:
                 raise JobError(
-                    f"an arc without {own_u}, {own_v} or R has no centre",
+                    f"an arc without {centre_u}, {centre_v} or R has no centre",
                     place=at,
                     remedy="Give the centre from the start of the arc, or the radius.",
                 )
             check_centre(start, end, centre, at)
-            shares = arc(Circle(start, end, centre, dialect.grammar), motion == 2, turns, at)
-        for share, x, y in shares:
+            chord_ends = arc(Circle(start, end, centre, dialect.grammar), motion == 2, turns, at)
+        for share, x, y in chord_ends:
             point = [a + round(share * (b - a)) for a, b in zip(before, after, strict=True)]
             point[u], point[v] = round(x * _FINE) * _STEP, round(y * _FINE) * _STEP
             yield tuple(point)
@@ -330,29 +351,29 @@ class Curves:
         at: Place,
     ) -> Iterator[tuple[float, float, float]]:
         """Return the chords of G5; without I and J they continue the last G5's spline."""
-        wrong = [letter for letter in words if letter not in "IJQ"]
-        if wrong or p is None or "Q" not in words or ("I" in words) != ("J" in words):
+        useless_letters = [letter for letter in words if letter not in "IJQ"]
+        if useless_letters or p is None or "Q" not in words or ("I" in words) != ("J" in words):
             raise JobError(
                 "G5 needs P and Q, and both of I and J or none",
                 place=at,
                 remedy="P Q lead from the end to its control point, I J from the start to its own.",
             )
         start, end = ends
-        away = p * tenth_mm / (10 * ONE), words["Q"]
+        end_control = p * tenth_mm / (10 * ONE), words["Q"]
         if "I" in words:
-            lead = words["I"], words["J"]
+            start_control = words["I"], words["J"]
         elif self._last_control is not None and self._last_control[0] == before:
-            last = self._last_control[1]
-            lead = -last[0], -last[1]
+            last_end_control = self._last_control[1]
+            start_control = -last_end_control[0], -last_end_control[1]
         else:
             raise JobError(
                 "the first G5 of a curve needs I and J", place=at, remedy="Give I and J."
             )
-        self._last_control = after, away
+        self._last_control = after, end_control
         return spline(
             start,
-            (start[0] + lead[0], start[1] + lead[1]),
-            (end[0] + away[0], end[1] + away[1]),
+            (start[0] + start_control[0], start[1] + start_control[1]),
+            (end[0] + end_control[0], end[1] + end_control[1]),
             end,
             at,
         )

@@ -103,9 +103,11 @@ class Cycles:
             below the bottom; if the plane or the unit changed within the series; or if the block
             has more than ``MOST_STEPS`` moves.
         """
-        across, deep = _LETTERS[frame.plane]
-        if deep not in frame.axes:
-            raise _error(frame, f"G{motion} drills along {deep}, and the machine has no such axis")
+        across_letters, depth_letter = _LETTERS[frame.plane]
+        if depth_letter not in frame.axes:
+            raise _error(
+                frame, f"G{motion} drills along {depth_letter}, and the machine has no such axis"
+            )
         modes = (frame.plane, frame.tenth_mm)
         if self._begun is not None and modes != self._modes:
             raise _error(
@@ -114,95 +116,95 @@ class Cycles:
                 "words mean something else now: end the series with G80 before the change",
             )
         self._modes = modes
-        depth = frame.axes[deep]
-        words = self._words(motion, block, frame, deep)
+        depth_axis = frame.axes[depth_letter]
+        words = self._words(motion, block, frame, depth_letter)
         given = {i: value * frame.tenth_mm // 10 for i, value in block.axes}
-        begun = frame.exact[depth] if self._begun is None else self._begun
+        start_height = frame.exact[depth_axis] if self._begun is None else self._begun
         if frame.relative:
-            r = begun + words["R"]
-            bottom = r + words[deep]
+            r = start_height + words["R"]
+            bottom = r + words[depth_letter]
         else:
-            r, bottom = (frame.offset[depth] + words[word] for word in ("R", deep))
+            r, bottom = (frame.offset[depth_axis] + words[word] for word in ("R", depth_letter))
         if r < bottom:
             raise _error(
-                frame, f"R of G{motion} lies {(bottom - r) / ONE:.6g} mm deeper than {deep}"
+                frame, f"R of G{motion} lies {(bottom - r) / ONE:.6g} mm deeper than {depth_letter}"
             )
-        self._begun, self._motion = begun, motion
+        self._begun, self._motion = start_height, motion
         self._kept.update(words)
-        sides = [frame.axes[letter] for letter in across if letter in frame.axes]
-        place = {
+        across_axes = [frame.axes[letter] for letter in across_letters if letter in frame.axes]
+        hole = {
             i: frame.exact[i] if frame.relative or i not in given else frame.offset[i] + given[i]
-            for i in sides
+            for i in across_axes
         }
-        by = {i: given.get(i, 0) if frame.relative else 0 for i in sides}
-        pecks = (r - bottom) // words["Q"] if motion in _PECKS else 0
-        times = block.passes or 1
-        if times * (3 * pecks + 5) > MOST_STEPS:
+        spacing = {i: given.get(i, 0) if frame.relative else 0 for i in across_axes}
+        peck_count = (r - bottom) // words["Q"] if motion in _PECKS else 0
+        repeats = block.passes or 1
+        if repeats * (3 * peck_count + 5) > MOST_STEPS:
             raise _error(frame, f"G{motion} makes more than {MOST_STEPS} moves in one block")
-        height = frame.exact[depth]
-        if begun < r:
-            yield Step("rapid", ((depth, r),))
-            begun = height = r
-        clear = r if self._to_r else begun
-        height = height if height > r else clear
-        for _ in range(times):
-            place = {i: at + by[i] for i, at in place.items()}
-            yield Step("rapid", (*place.items(), (depth, height)))
+        height = frame.exact[depth_axis]
+        if start_height < r:
+            yield Step("rapid", ((depth_axis, r),))
+            start_height = height = r
+        end_height = r if self._to_r else start_height
+        height = height if height > r else end_height
+        for _ in range(repeats):
+            hole = {i: position + spacing[i] for i, position in hole.items()}
+            yield Step("rapid", (*hole.items(), (depth_axis, height)))
             if height > r:
-                yield Step("rapid", ((depth, r),))
-            yield from _hole(motion, depth, (r, bottom, clear), words)
-            height = clear
+                yield Step("rapid", ((depth_axis, r),))
+            yield from _hole(motion, depth_axis, (r, bottom, end_height), words)
+            height = end_height
 
-    def _words(self, motion: int, block: Block, frame: Frame, deep: str) -> dict[str, int]:
+    def _words(self, motion: int, block: Block, frame: Frame, depth_letter: str) -> dict[str, int]:
         """Return the exact depth, R, and Q or P; a missing word is taken from an earlier block."""
-        letters = {index: letter for letter, index in frame.axes.items()}
-        found: dict[str, int] = {}
+        letter_of_axis = {index: letter for letter, index in frame.axes.items()}
+        words: dict[str, int] = {}
         for index, value in block.axes:
-            if letters[index] not in "XYZ":
-                raise _error(frame, f"{letters[index]} has no use in G{motion}")
-            if letters[index] == deep:
-                found[deep] = value * frame.tenth_mm // 10
+            if letter_of_axis[index] not in "XYZ":
+                raise _error(frame, f"{letter_of_axis[index]} has no use in G{motion}")
+            if letter_of_axis[index] == depth_letter:
+                words[depth_letter] = value * frame.tenth_mm // 10
         for letter, value in block.curve:
             if letter != "R" and (letter != "Q" or motion not in _PECKS):
                 raise _error(frame, f"{letter} has no use in G{motion}")
-            found[letter] = value * frame.tenth_mm // 10
+            words[letter] = value * frame.tenth_mm // 10
         if block.p is not None:
             if motion not in _DWELLS:
                 raise _error(frame, f"P has no use in G{motion}")
-            found["P"] = block.p
-        needed = (deep, "R", *("Q" * (motion in _PECKS)), *("P" * (motion in _DWELLS)))
+            words["P"] = block.p
+        needed = (depth_letter, "R", *("Q" * (motion in _PECKS)), *("P" * (motion in _DWELLS)))
         for letter in needed:
-            if letter in found:
+            if letter in words:
                 continue
             if self._motion != motion or letter not in self._kept:
                 raise _error(frame, f"G{motion} has no {letter}")
-            found[letter] = self._kept[letter]
-        if "P" in needed and found["P"] < 0:
+            words[letter] = self._kept[letter]
+        if "P" in needed and words["P"] < 0:
             raise _error(frame, f"P of G{motion} must not be negative")
-        if "Q" in needed and found["Q"] <= 0:
+        if "Q" in needed and words["Q"] <= 0:
             raise _error(frame, f"Q of G{motion} must be greater than 0")
-        return found
+        return words
 
 
 def _hole(
-    motion: int, depth: int, heights: tuple[int, int, int], words: Mapping[str, int]
+    motion: int, depth_axis: int, heights: tuple[int, int, int], words: Mapping[str, int]
 ) -> Iterator[Step]:
     """Return the steps of one hole, from the height R; ``heights`` are R, bottom and end."""
-    r, bottom, clear = heights
+    r, bottom, end_height = heights
     if motion in _PECKS:
-        peck = r - words["Q"]
-        while peck > bottom:
-            yield Step("feed", ((depth, peck),))
+        peck_bottom = r - words["Q"]
+        while peck_bottom > bottom:
+            yield Step("feed", ((depth_axis, peck_bottom),))
             if motion == 83:
-                yield Step("rapid", ((depth, r),))
-            yield Step("rapid", ((depth, peck + _BACK_OFF),))
-            peck -= words["Q"]
-    yield Step("feed", ((depth, bottom),))
+                yield Step("rapid", ((depth_axis, r),))
+            yield Step("rapid", ((depth_axis, peck_bottom + _BACK_OFF),))
+            peck_bottom -= words["Q"]
+    yield Step("feed", ((depth_axis, bottom),))
     if motion in _DWELLS:
         yield Step("dwell", dwell_s=words["P"] / ONE)
     if motion == 85:
-        yield Step("feed", ((depth, r),))
-    yield Step("feed" if motion == 89 else "rapid", ((depth, clear),))
+        yield Step("feed", ((depth_axis, r),))
+    yield Step("feed" if motion == 89 else "rapid", ((depth_axis, end_height),))
 
 
 def _error(frame: Frame, message: str) -> JobError:

@@ -135,10 +135,10 @@ def f_rule(
             "base axes go with the feed mode base-axes, and only with it",
             remedy="CADFIL's mode 1 has the base A, mode 2 the base A, X.",
         )
-    beyond = [axis for axis in machine.axis_names if axis in "UVW"]
-    if feed_mode == _WITHOUT_UVW and beyond:
+    uvw_axes = [axis for axis in machine.axis_names if axis in "UVW"]
+    if feed_mode == _WITHOUT_UVW and uvw_axes:
         raise OptionError(
-            f"RS274/NGC does not say what F means to the axis {beyond[0]}",
+            f"RS274/NGC does not say what F means to the axis {uvw_axes[0]}",
             remedy="Choose linuxcnc, which takes U V W behind X Y Z.",
         )
     return FRule(feed_mode, mode, tuple(base_axes))
@@ -149,8 +149,8 @@ def normal_feed_m_s(machine: Machine) -> tuple[float, ...] | None:
     if machine.operator is None:
         return None
     tick_s = float(machine.tick_clock.period_s)
-    per_axis = machine.operator.normal_feed.si / machine.counts_per_unit / tick_s
-    return tuple((per_axis * machine.radius_m).tolist())
+    axis_speeds_si = machine.operator.normal_feed.si / machine.counts_per_unit / tick_s
+    return tuple((axis_speeds_si * machine.radius_m).tolist())
 
 
 def as_f_words(value_m_s: float, rule: str) -> Feed:
@@ -294,22 +294,24 @@ class FeedNotes:
 
     def feed(self, program: int | None, exact: int, line: int) -> None:
         """Note an exact F and its line."""
-        kept = self._programs.setdefault(program, _Program())
-        if exact not in kept.feeds and self._count < _MAX_NOTES:
+        program_notes = self._programs.setdefault(program, _Program())
+        if exact not in program_notes.feeds and self._count < _MAX_NOTES:
             self._count += 1
-            kept.feeds.add(exact)
-            kept.notes.append(_Feed(exact, line))
+            program_notes.feeds.add(exact)
+            program_notes.notes.append(_Feed(exact, line))
 
     def call(self, program: int | None, label: int, passes: int) -> None:
         """Note a call of a subroutine and its passes."""
         self._change(program, _Call(label, passes > 1))
 
     def _change(self, program: int | None, note: _Modes | _Call) -> None:
-        kept = self._programs.setdefault(program, _Program())
-        if (not kept.notes or kept.notes[-1] != note) and self._count < _MAX_NOTES:
+        program_notes = self._programs.setdefault(program, _Program())
+        if (
+            not program_notes.notes or program_notes.notes[-1] != note
+        ) and self._count < _MAX_NOTES:
             self._count += 1
-            kept.feeds.clear()
-            kept.notes.append(note)
+            program_notes.feeds.clear()
+            program_notes.notes.append(note)
 
     def speeds(self, main: int | None) -> dict[tuple[int, int], int]:
         """Return the first line of each F in G94, over the programs that run.
@@ -321,26 +323,28 @@ class FeedNotes:
         main
             Label of the main program. No program may call itself.
         """
-        left: dict[int | None, _Modes] = {}
-        found: dict[tuple[int, int], int] = {}
-        waiting = [(main, _Modes(MILLIMETRE, False))]
-        seen = set(waiting)
-        while waiting:
-            program, modes = waiting.pop()
-            for note, now in self._followed(program, modes, left):
-                if isinstance(note, _Feed) and not now.inverse and now.unit is not None:
-                    key = note.exact, now.unit
-                    found[key] = min(note.line, found.get(key, note.line))
+        modes_left: dict[int | None, _Modes] = {}
+        first_lines: dict[tuple[int, int], int] = {}
+        waiting_runs = [(main, _Modes(MILLIMETRE, False))]
+        seen_runs = set(waiting_runs)
+        while waiting_runs:
+            program, modes = waiting_runs.pop()
+            for note, modes_now in self._followed(program, modes, modes_left):
+                if isinstance(note, _Feed) and not modes_now.inverse and modes_now.unit is not None:
+                    key = note.exact, modes_now.unit
+                    first_lines[key] = min(note.line, first_lines.get(key, note.line))
                 elif isinstance(note, _Call):
-                    again = now.then(self._left(note.label, left))
-                    for entry in (now, again) if note.repeats else (now,):
-                        if (note.label, entry) not in seen:
-                            seen.add((note.label, entry))
-                            waiting.append((note.label, entry))
-        return dict(sorted(found.items(), key=lambda item: item[1]))
+                    modes_after_call = modes_now.then(self._left(note.label, modes_left))
+                    for entry_modes in (
+                        (modes_now, modes_after_call) if note.repeats else (modes_now,)
+                    ):
+                        if (note.label, entry_modes) not in seen_runs:
+                            seen_runs.add((note.label, entry_modes))
+                            waiting_runs.append((note.label, entry_modes))
+        return dict(sorted(first_lines.items(), key=lambda item: item[1]))
 
     def _followed(
-        self, program: int | None, modes: _Modes, left: dict[int | None, _Modes]
+        self, program: int | None, modes: _Modes, modes_left: dict[int | None, _Modes]
     ) -> Iterator[tuple[_Note, _Modes]]:
         """Yield each note of a program that begins in ``modes``, with the modes before the note."""
         for note in self._programs.get(program, _Program()).notes:
@@ -348,16 +352,16 @@ class FeedNotes:
             if isinstance(note, _Modes):
                 modes = modes.then(note)
             elif isinstance(note, _Call):
-                modes = modes.then(self._left(note.label, left))
+                modes = modes.then(self._left(note.label, modes_left))
 
-    def _left(self, program: int | None, left: dict[int | None, _Modes]) -> _Modes:
+    def _left(self, program: int | None, modes_left: dict[int | None, _Modes]) -> _Modes:
         """Return the modes that a program sets; None for a mode that it does not set."""
-        if program not in left:
+        if program not in modes_left:
             modes = _Modes()
             for note in self._programs.get(program, _Program()).notes:
                 if isinstance(note, _Modes):
                     modes = modes.then(note)
                 elif isinstance(note, _Call):
-                    modes = modes.then(self._left(note.label, left))
-            left[program] = modes
-        return left[program]
+                    modes = modes.then(self._left(note.label, modes_left))
+            modes_left[program] = modes
+        return modes_left[program]

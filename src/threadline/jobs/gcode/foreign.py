@@ -75,14 +75,14 @@ def letters_of(machine: Machine, text: str | None) -> Letters:
                 remedy=f"It has {', '.join(names) or 'no axes'}; none leaves words out. {_EXAMPLE}",
             )
         if letter in pairs or (name != _NONE and name in pairs.values()):
-            twice = letter if letter in pairs else name
-            raise OptionError(f"axes {text[:40]!r} names {twice} twice", remedy=_EXAMPLE)
+            repeated_name = letter if letter in pairs else name
+            raise OptionError(f"axes {text[:40]!r} names {repeated_name} twice", remedy=_EXAMPLE)
         pairs[letter] = name
-    own = {name: letter for letter, name in pairs.items()}
+    letter_of_axis = {name: letter for letter, name in pairs.items()}
     axes = {
-        own.get(name, name): index
+        letter_of_axis.get(name, name): index
         for index, name in enumerate(names)
-        if name in own or name not in pairs
+        if name in letter_of_axis or name not in pairs
     }
     return Letters(axes, frozenset(letter for letter, name in pairs.items() if name == _NONE))
 
@@ -143,12 +143,12 @@ def guesses(path: Path) -> tuple[Guess, ...]:
     grbl's, which needs no end.
     """
     with open_binary(path) as stream:
-        begin: bytes = stream.read(_HEAD_BYTES)
+        head_bytes: bytes = stream.read(_HEAD_BYTES)
         stream.seek(max(0, stream.seek(0, 2) - _HEAD_BYTES))
-        end: bytes = stream.read()
-    head = begin.decode("utf-8", "replace")
+        tail_bytes: bytes = stream.read()
+    head = head_bytes.decode("utf-8", "replace")
     comments = " \n".join(one or other for one, other in _COMMENT.findall(head))
-    found: dict[str, Guess] = {}
+    guess_by_dialect: dict[str, Guess] = {}
     for patterns, text, named in ((_NAMES, comments, True), (_WORDS, head, False)):
         marks = []
         for dialect, pattern in patterns.items():
@@ -156,9 +156,9 @@ def guesses(path: Path) -> tuple[Guess, ...]:
             if match is not None:
                 marks.append((match.start(), dialect, match[0].strip()))
         for _, dialect, mark in sorted(marks):
-            found.setdefault(dialect, Guess(dialect, mark[:40], named))
-    usual = _PREAMBLE.search(head)
-    if usual is not None:
-        other = "linuxcnc" if _END.search(end) else "grbl"
-        found.setdefault(other, Guess(other, usual[0].strip()[:40]))
-    return tuple(found.values())
+            guess_by_dialect.setdefault(dialect, Guess(dialect, mark[:40], named))
+    preamble = _PREAMBLE.search(head)
+    if preamble is not None:
+        other = "linuxcnc" if _END.search(tail_bytes) else "grbl"
+        guess_by_dialect.setdefault(other, Guess(other, preamble[0].strip()[:40]))
+    return tuple(guess_by_dialect.values())

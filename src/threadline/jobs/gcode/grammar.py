@@ -268,15 +268,15 @@ def check_words(
     JobError
         If the block has such words; the message names them.
     """
-    alone: list[str] = []
-    takers: list[str] = []
-    kinds: dict[str, str] = {}
+    exclusive_words: list[str] = []
+    axis_takers: list[str] = []
+    word_of_kind: dict[str, str] = {}
     has_axes = any(letter in axes for letter, _ in words)
-    for place, (letter, number) in enumerate(words):
+    for index, (letter, number) in enumerate(words):
         value = exact(number)
         if value is None:
             continue  # ``block_of`` refuses it
-        if letter == "N" and (place or "." in number) and grammar.numbers_first:
+        if letter == "N" and (index or "." in number) and grammar.numbers_first:
             raise JobError(
                 f"{name} takes N{number} only at the beginning of a line, and without a point",
                 place=at,
@@ -300,9 +300,9 @@ def check_words(
         if letter == "G":
             code = 10 * value // ONE
             if code in grammar.alone:
-                alone.append(word)
+                exclusive_words.append(word)
             if code in grammar.takes_axes:
-                takers.append(word)
+                axis_takers.append(word)
             if code in grammar.loses_axes and has_axes:
                 raise JobError(
                     f"{name} uses the axis words beside {word} for {word}, not for a motion",
@@ -311,13 +311,13 @@ def check_words(
                 )
         elif letter == "M" and value // ONE in grammar.m_kinds:
             kind = grammar.m_kinds[value // ONE]
-            _refuse_two([kinds[kind], word] if kind in kinds else [], name, at)
-            kinds[kind] = word
+            _refuse_two([word_of_kind[kind], word] if kind in word_of_kind else [], name, at)
+            word_of_kind[kind] = word
         if letter == "M" and value // ONE in grammar.of_sender:
-            beside = [f"{a}{b}" for a, b in words if a not in "NST" and f"{a}{b}" != word]
-            if beside:
+            refused_words = [f"{a}{b}" for a, b in words if a not in "NST" and f"{a}{b}" != word]
+            if refused_words:
                 raise JobError(
-                    f"{name} refuses {word} with its whole line, {beside[0]} too",
+                    f"{name} refuses {word} with its whole line, {refused_words[0]} too",
                     place=at,
                     remedy=f"Write {word} in a line of its own, where the sender program "
                     "removes it and stops.",
@@ -325,13 +325,13 @@ def check_words(
         if (
             letter == "M"
             and value // ONE in grammar.needs_p
-            and all(other != "P" for other, _ in words)
+            and all(other_letter != "P" for other_letter, _ in words)
         ):
             raise JobError(
                 f"{word} needs the number of its output as P", place=at, remedy="Write it."
             )
-    _refuse_two(alone, name, at)
-    _refuse_two(takers, name, at)
+    _refuse_two(exclusive_words, name, at)
+    _refuse_two(axis_takers, name, at)
 
 
 def _refuse_two(words: Sequence[str], name: str, at: Place) -> None:

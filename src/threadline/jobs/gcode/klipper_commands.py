@@ -76,22 +76,22 @@ def named_command(text: str, place: Place, *, without_macros: bool = False) -> N
         If the command changes the motion otherwise than by limits, or runs a macro.
     """
     code = text.partition(";")[0].replace("\t", " ").strip()
-    number = _M204.fullmatch(code)
-    if number is not None:
-        return _m204(code, number[1].upper(), place)
-    found = _NAMED.match(code)
-    if found is None:
+    m204_match = _M204.fullmatch(code)
+    if m204_match is not None:
+        return _m204(code, m204_match[1].upper(), place)
+    name_match = _NAMED.match(code)
+    if name_match is None:
         return None
-    name = found[1].upper()
+    name = name_match[1].upper()
     if name == "SET_VELOCITY_LIMIT":
-        bare = code.partition("#")[0].rstrip()
-        return Named(bare, _velocity_limit(bare[found.end() :], place))
+        command = code.partition("#")[0].rstrip()
+        return Named(command, _velocity_limit(command[name_match.end() :], place))
     if name in _IDLE:
         return Named(code, idle=name)
-    does = _DOES.get(name)
-    if does is not None:
+    effect = _DOES.get(name)
+    if effect is not None:
         raise JobError(
-            f"{name} {does}",
+            f"{name} {effect}",
             place=place,
             remedy="Have the program written without it, or take it out if it changes nothing.",
         )
@@ -107,30 +107,30 @@ def named_command(text: str, place: Place, *, without_macros: bool = False) -> N
 
 def _velocity_limit(arguments: str, place: Place) -> LimitChange:
     limits: dict[str, float] = {}
-    for part in arguments.split():
-        name, sign, value = part.upper().partition("=")
+    for argument in arguments.split():
+        name, sign, value = argument.upper().partition("=")
         if not sign:
             raise JobError(
-                f"klipper cannot read {part[:40]!r} of SET_VELOCITY_LIMIT",
+                f"klipper cannot read {argument[:40]!r} of SET_VELOCITY_LIMIT",
                 place=place,
                 remedy="Write it like SET_VELOCITY_LIMIT ACCEL=3000.",
             )
         if name in _LIMITS or name == "ACCEL_TO_DECEL":
             limits[name] = _number(name, value.strip("\"'"), place)
-    decel = limits.pop("ACCEL_TO_DECEL", None)
-    if decel is not None and "MINIMUM_CRUISE_RATIO" not in limits:
+    accel_to_decel = limits.pop("ACCEL_TO_DECEL", None)
+    if accel_to_decel is not None and "MINIMUM_CRUISE_RATIO" not in limits:
         if "ACCEL" not in limits:
             raise JobError(
                 "ACCEL_TO_DECEL without ACCEL, which klipper's releases read differently",
                 place=place,
                 remedy="Write MINIMUM_CRUISE_RATIO=... in its place.",
             )
-        limits["MINIMUM_CRUISE_RATIO"] = 1.0 - min(1.0, decel / limits["ACCEL"])
-    scaled = {
+        limits["MINIMUM_CRUISE_RATIO"] = 1.0 - min(1.0, accel_to_decel / limits["ACCEL"])
+    limits_si = {
         _LIMITS[name]: value if name == "MINIMUM_CRUISE_RATIO" else value / 1e3
         for name, value in limits.items()
     }
-    return LimitChange(**scaled)
+    return LimitChange(**limits_si)
 
 
 def _m204(code: str, arguments: str, place: Place) -> Named:
@@ -139,8 +139,8 @@ def _m204(code: str, arguments: str, place: Place) -> Named:
     letters = ["S"] if "S" in given else ["P", "T"]
     if not all(letter in given for letter in letters):
         return Named(code, idle="M204")
-    least = min(_number(letter, given[letter], place) for letter in letters)
-    return Named(code, LimitChange(acceleration_m_s2=least / 1e3))
+    acceleration_mm_s2 = min(_number(letter, given[letter], place) for letter in letters)
+    return Named(code, LimitChange(acceleration_m_s2=acceleration_mm_s2 / 1e3))
 
 
 def _number(name: str, text: str, place: Place) -> float:
@@ -149,15 +149,15 @@ def _number(name: str, text: str, place: Place) -> float:
         value = float(text)
     except ValueError:
         value = math.nan
-    least = name in {"SQUARE_CORNER_VELOCITY", "MINIMUM_CRUISE_RATIO"}
-    good = (value >= 0.0 if least else value > 0.0) and value < 1e9
+    may_be_zero = name in {"SQUARE_CORNER_VELOCITY", "MINIMUM_CRUISE_RATIO"}
+    is_allowed = (value >= 0.0 if may_be_zero else value > 0.0) and value < 1e9
     if name == "MINIMUM_CRUISE_RATIO":
-        good = good and value < 1.0
-    if not good:
-        wanted = "from 0, and below 1" if name == "MINIMUM_CRUISE_RATIO" else "above 0"
+        is_allowed = is_allowed and value < 1.0
+    if not is_allowed:
+        allowed_range = "from 0, and below 1" if name == "MINIMUM_CRUISE_RATIO" else "above 0"
         raise JobError(
             f"{name} {text[:24] or '(nothing)'} must be a number "
-            + ("from 0 on" if name == "SQUARE_CORNER_VELOCITY" else wanted),
+            + ("from 0 on" if name == "SQUARE_CORNER_VELOCITY" else allowed_range),
             place=place,
             remedy="Correct it; klipper refuses it, too.",
         )

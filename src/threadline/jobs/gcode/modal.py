@@ -98,8 +98,8 @@ class Modal:
         self._inverse_time = False
         self._passes: tuple[int, ...] = ()
         self._feeds = KeptFeeds(program.rule)
-        first = self._dialect.first_feed_m_s
-        self._feed: Feed | None = None if first is None else self._feed_of(first)
+        first_feed_m_s = self._dialect.first_feed_m_s
+        self._feed: Feed | None = None if first_feed_m_s is None else self._feed_of(first_feed_m_s)
         self._letters = program.reading.names
         self._waiting: list[ToolEvent] = []  # for the next move
         self._length = ""  # G43 in force
@@ -107,8 +107,10 @@ class Modal:
         self._wrapped = program.reading.wrapped
         self._moved = self._acted = self._repeats = False
         self._one_system = not program.systems
-        zeros = (c for c, zero in program.systems.items() if c != MACHINE and not any(zero))
-        self._first_system = next(zeros, FIRST)
+        systems_at_zero = (
+            code for code, zero in program.systems.items() if code != MACHINE and not any(zero)
+        )
+        self._first_system = next(systems_at_zero, FIRST)
 
     def _ends(self, block: Block) -> bool:
         """Say whether the reading ends at a block, because its M word ends the program."""
@@ -138,29 +140,29 @@ class Modal:
         self._check_modes(block)
         if block.length or NO_LENGTH in block.settings:
             yield from self._take_length(block)
-        first, then = self._split(block) if block.acts else ((), ())
-        yield from self._worked(block, first)
+        words_before, words_after = self._split(block) if block.acts else ((), ())
+        yield from self._worked(block, words_before)
         if block.action == DWELL:
             yield from self._rest(Dwell(block.dwell_s, self._source(block)))
         elif block.action == 280:
             yield from self._return_to_start(block)
         else:
-            later = block.action == RESET and self._dialect.grammar.reset_last
-            if block.action != -1 and not later:
-                given = {index: self._scaled(index, value) for index, value in block.axes}
+            resets_after_move = block.action == RESET and self._dialect.grammar.reset_last
+            if block.action != -1 and not resets_after_move:
+                axis_words = {index: self._scaled(index, value) for index, value in block.axes}
                 if block.action == SHIFT and not self._moved:
                     # The plan begins at 0, whatever position the control shows.
-                    named = " ".join(f"{self._letters[index]}0" for index in given)
-                    shift = ToolEvent("G92", 0.0, self._source(block), f"G92 {named}")
+                    zero_words = " ".join(f"{self._letters[index]}0" for index in axis_words)
+                    shift = ToolEvent("G92", 0.0, self._source(block), f"G92 {zero_words}")
                     self._waiting.append(shift)
-                self._zeros.take(block.action, self._exact, given)
+                self._zeros.take(block.action, self._exact, axis_words)
             if block.action not in TAKES_AXES and (
                 block.axes or (block.curve and self._motion in CURVED)
             ):
                 yield from self._move(block)
-            if later:
+            if resets_after_move:
                 self._zeros.take(block.action, self._exact, {})
-        yield from self._worked(block, then)
+        yield from self._worked(block, words_after)
         if block.waits and not block.acts:
             yield from self._rest(Dwell(0.0, self._source(block)))
         if self._ends(block):
@@ -173,22 +175,22 @@ class Modal:
 
     def _take_length(self, block: Block) -> Iterator[Operation]:
         """Take or leave a tool length; one that the machine file gives moves the zero."""
-        source, before, self._length = self._source(block), self._length, block.length
-        if before in self._known or block.length in self._known:
+        source, length_before, self._length = self._source(block), self._length, block.length
+        if length_before in self._known or block.length in self._known:
             yield from self._rest(Dwell(0.0, source))
             self._zeros.lengthen(self._axes["Z"], self._known.get(block.length, 0))
-        elif before and not block.length:
+        elif length_before and not block.length:
             yield from self._rest(ToolEvent("G49", 0.0, source, "G49"))
 
     def _split(self, block: Block) -> tuple[tuple[str, ...], tuple[str, ...]]:
         """Return the acting words before the motion of a block, and the words after the motion."""
-        behind: tuple[str, ...] = ()
+        words_after: tuple[str, ...] = ()
         if block.ends == "stop" and block.program != _CHANGE:
-            behind = block.acts if self._dialect.one_command else (f"M{block.program}",)
+            words_after = block.acts if self._dialect.one_command else (f"M{block.program}",)
         elif self._dialect.off_behind and block.axes:
-            behind = _OFF
-        first = tuple(word for word in block.acts if word not in behind)
-        return first, tuple(word for word in block.acts if word in behind)
+            words_after = _OFF
+        words_before = tuple(word for word in block.acts if word not in words_after)
+        return words_before, tuple(word for word in block.acts if word in words_after)
 
     def _worked(self, block: Block, words: tuple[str, ...]) -> Iterator[Operation]:
         """Return the operations of acting words; words that need no rest go with the next move."""
@@ -203,8 +205,8 @@ class Modal:
             # rounded corner would move Z before G43.
             yield from self._rest(ToolEvent(text, block.power, source, text))
         else:
-            beside = bool(block.axes) and block.action not in (*TAKES_AXES, DWELL)
-            event = ToolEvent(text, block.power, source, text, beside, block.limits)
+            with_move = bool(block.axes) and block.action not in (*TAKES_AXES, DWELL)
+            event = ToolEvent(text, block.power, source, text, with_move, block.limits)
             self._waiting.append(event)
 
     def _rest(self, item: Operation) -> Iterator[Operation]:
@@ -268,13 +270,13 @@ class Modal:
         if grammar.feed_first and block.motion in (1, 2, 3):
             self._check_feed(block)
         if grammar.plain_arcs and block.motion in (2, 3):
-            radius = any(letter == "R" for letter, _ in block.curve)
-            if self._relative or radius or not any(value for _, value in block.curve):
-                what = "with R" if radius else "without a centre"
+            has_radius = any(letter == "R" for letter, _ in block.curve)
+            if self._relative or has_radius or not any(value for _, value in block.curve):
+                fault = "with R" if has_radius else "without a centre"
                 raise self._error(
                     block.line,
                     f"{self._dialect.name} takes no arc "
-                    + ("while G91 is in force" if self._relative else what),
+                    + ("while G91 is in force" if self._relative else fault),
                     "Write G90 before it." if self._relative else "Give its centre by I and J.",
                 )
         if block.motion in (2, 3) and not (
@@ -352,14 +354,14 @@ class Modal:
 
     def _go(self, block: Block) -> None:
         """Set the position to the axis words of ``block``."""
-        base: Sequence[int] = self._exact if self._relative else self._zeros.offset
+        origin: Sequence[int] = self._exact if self._relative else self._zeros.offset
         if MACHINE in block.settings:
-            base = self._zeros.machine
+            origin = self._zeros.machine
         for index, value in block.axes:
             if index in self._wrapped and not self._relative:
                 self._put(index, self._within_turn(block, index, value))
             else:
-                self._put(index, base[index] + self._scaled(index, value))
+                self._put(index, origin[index] + self._scaled(index, value))
 
     def _within_turn(self, block: Block, index: int, value: int) -> int:
         """Return the position to which a wrapped axis turns for an absolute angle."""
@@ -391,8 +393,8 @@ class Modal:
                 "axis words without G0 or G1 behind G80, which ends the cycle and every motion",
                 "Write G0 (or G1 and a feed) in this block.",
             )
-        alone = self._dialect.each_g and block.motion == -1 and not self._repeats
-        if self._motion == -1 or alone:
+        lacks_g_word = self._dialect.each_g and block.motion == -1 and not self._repeats
+        if self._motion == -1 or lacks_g_word:
             raise self._error(
                 block.line,
                 "axis words before any G0 or G1"
@@ -432,11 +434,11 @@ class Modal:
 
     def _stays(self, block: Block) -> bool:
         """Return whether the axis words of a block name the present position."""
-        base = self._exact if self._relative else self._zeros.offset
+        origin = self._exact if self._relative else self._zeros.offset
         return all(
             self._within_turn(block, i, v) == self._exact[i]
             if i in self._wrapped and not self._relative
-            else base[i] + self._scaled(i, v) == self._exact[i]
+            else origin[i] + self._scaled(i, v) == self._exact[i]
             for i, v in block.axes
         )
 
@@ -477,9 +479,9 @@ class Modal:
         A control that homes moves to the home position directly, and has its zero there afterwards.
         """
         source = self._source(block)
-        named = [i for i, _ in block.axes] or range(len(self._exact))
-        if not self._wrapped.isdisjoint(named):
-            letter = self._letters[min(self._wrapped.intersection(named))]
+        named_axes = [i for i, _ in block.axes] or range(len(self._exact))
+        if not self._wrapped.isdisjoint(named_axes):
+            letter = self._letters[min(self._wrapped.intersection(named_axes))]
             raise self._error(
                 block.line,
                 f"G28 moves the wrapped axis {letter}, and which way it turns home is not read",
@@ -488,7 +490,7 @@ class Modal:
         if block.axes and not self._dialect.homes:
             self._go(block)
             yield self._to(RAPID, source)
-        for index in named:
+        for index in named_axes:
             self._put(index, self._zeros.home[index])
             if self._dialect.homes:
                 self._zeros.offset[index] = 0

@@ -136,18 +136,19 @@ class Interpreter(Modal):
             blocks = self._text.next_line(lines, looping=bool(self._passes))
             if not blocks:
                 continue
-            *before, block = blocks
-            for other in before:  # the scan refuses a line that goes on behind an end
-                for operation in self._step(other):
+            *earlier_blocks, block = blocks
+            # The scan refuses a line that goes on behind an end.
+            for earlier in earlier_blocks:
+                for operation in self._step(earlier):
                     yield operation, frame.times, frame.line
             for operation in self._step(block):
                 yield operation, frame.times, frame.line
             if block.program == 98:
                 callee = structure.programs[(block.p or 0) // ONE]
                 # A subroutine without operations needs only one pass.
-                turns = (block.passes or 1) if structure.totals[callee.label].operations else 1
-                line, text = frame.line or block.line, self._text.lines_of(callee)
-                frames.append(Frame(callee, text, 1, turns, frame.times, line))
+                pass_count = (block.passes or 1) if structure.totals[callee.label].operations else 1
+                main_line, callee_lines = frame.line or block.line, self._text.lines_of(callee)
+                frames.append(Frame(callee, callee_lines, 1, pass_count, frame.times, main_line))
                 self._passes = (*self._passes, 1)
             elif block.ends == "return":
                 if frame.folded > 1:
@@ -174,21 +175,27 @@ class Interpreter(Modal):
 
     def _advance(self, frame: Frame) -> None:
         """Set the position to the end of all passes that one pass stands for."""
-        axes = len(self._exact)
-        for index, start in enumerate(frame.start[:axes]):
+        axis_count = len(self._exact)
+        for index, start in enumerate(frame.start[:axis_count]):
             self._put(index, start + frame.folded * (self._exact[index] - start))
-        for at, values in ((axes, self._zeros.offset), (2 * axes, self._zeros.kept)):
-            for index, start in enumerate(frame.start[at : at + axes]):
+        for first_column, values in (
+            (axis_count, self._zeros.offset),
+            (2 * axis_count, self._zeros.kept),
+        ):
+            for index, start in enumerate(frame.start[first_column : first_column + axis_count]):
                 values[index] = start + frame.folded * (values[index] - start)
 
     def _read_plain(self, lines: Lines) -> MoveRun | None:
         """Read plain blocks with the compiled reader; return their moves, None without moves."""
         plain = self._plain
-        for to, numbers in ((plain.exact, self._exact), (plain.offset, self._zeros.offset)):
-            for index, exact in enumerate(numbers):
+        for plain_values, exact_values in (
+            (plain.exact, self._exact),
+            (plain.offset, self._zeros.offset),
+        ):
+            for index, exact in enumerate(exact_values):
                 if exact % _FINE or not -kernel.EXACT_LIMIT < exact // _FINE < kernel.EXACT_LIMIT:
                     return None  # the kernel cannot hold these digits
-                to[index] = exact // _FINE
+                plain_values[index] = exact // _FINE
         plain.position[:] = self._position
         plain.feed[0] = math.nan if self._feed is None else self._feed.value
         state = plain.state
@@ -196,51 +203,60 @@ class Interpreter(Modal):
         state[kernel.RELATIVE] = self._relative
         state[kernel.TENTH_MM] = self._tenth_mm
         state[kernel.INVERSE] = self._inverse_time
-        before = tuple(self._position)
-        count = plain.read(lines)
+        position_before = tuple(self._position)
+        move_count = plain.read(lines)
         self._motion = int(state[kernel.MOTION])
         self._cancelled = self._cancelled and self._motion == -1
         self._relative = bool(state[kernel.RELATIVE])
-        if count == 0:
+        if move_count == 0:
             return None
         self._cycles.take((), self._motion)
         self._exact = [exact * _FINE for exact in plain.exact.tolist()]
         self._position = plain.position.tolist()
         value = float(plain.feed[0])
         self._feed = None if math.isnan(value) else self._feed_of(value)
-        values = self._in_degrees(plain, count, before)
-        changes = [0, *(np.flatnonzero(np.diff(values)) + 1).tolist()]
+        feed_values = self._in_degrees(plain, move_count, position_before)
+        change_indices = [0, *(np.flatnonzero(np.diff(feed_values)) + 1).tolist()]
         feeds = tuple(
-            (at, self._feed_of(value) if value >= 0 else self._feed_of_g0(-value))
-            for at, value in zip(changes, values[changes].tolist(), strict=True)
+            (first_move, self._feed_of(value) if value >= 0 else self._feed_of_g0(-value))
+            for first_move, value in zip(
+                change_indices, feed_values[change_indices].tolist(), strict=True
+            )
         )
-        targets, line = plain.out_position[:count].copy(), plain.out_line[:count].copy()
+        targets, move_lines = (
+            plain.out_position[:move_count].copy(),
+            plain.out_line[:move_count].copy(),
+        )
         acts: tuple[tuple[int, tuple[ToolEvent, ...]], ...] = ()
         if self._waiting or not self._moved:
-            own = self._acting(Source(self._path, int(line[0]), self._passes))
-            acts = ((0, own),) if own else ()
-        columns = plain.columns(count)
-        return MoveRun(targets, line, feeds, self._path, self._passes, columns, acts)
+            events = self._acting(Source(self._path, int(move_lines[0]), self._passes))
+            acts = ((0, events),) if events else ()
+        columns = plain.columns(move_count)
+        return MoveRun(targets, move_lines, feeds, self._path, self._passes, columns, acts)
 
     def _feed_of_g0(self, value: float) -> Feed:
         return travelling(self._feed_of(value)) if self._dialect.rapid_is_feed else RAPID
 
-    def _in_degrees(self, plain: PlainReader, count: int, before: tuple[float, ...]) -> FloatArray:
-        """Return the (count,) feeds of the last moves, without inches for moves of A B C alone."""
-        values = plain.out_feed[:count]
+    def _in_degrees(
+        self, plain: PlainReader, move_count: int, position_before: tuple[float, ...]
+    ) -> FloatArray:
+        """Return (move_count,) feeds of the last moves, without inches for moves of A B C alone."""
+        feed_values = plain.out_feed[:move_count]
         if self._feed_tenth_mm == self._tenth_mm == MILLIMETRE:
-            return values
-        words = np.flatnonzero(plain.out_word[:count] >= 0)
-        unit = np.full(count, self._feed_tenth_mm)
-        if len(words):
-            unit[words[0] :] = self._feed_tenth_mm = self._tenth_mm
+            return feed_values
+        f_moves = np.flatnonzero(plain.out_word[:move_count] >= 0)
+        feed_unit = np.full(move_count, self._feed_tenth_mm)
+        if len(f_moves):
+            feed_unit[f_moves[0] :] = self._feed_tenth_mm = self._tenth_mm
         in_turn = self._rule.mode is FeedMode.IN_TURN
-        if self._inverse_time or not in_turn or (unit == MILLIMETRE).all():
-            return values
-        way = np.diff(plain.out_position[:count], axis=0, prepend=np.array([before]))
-        at_feed = (values > 0) | self._dialect.rapid_is_feed
-        turned = ~way[:, self._lengths].any(axis=1) & at_feed
-        return np.where(turned, values * MILLIMETRE / unit, values)
+        if self._inverse_time or not in_turn or (feed_unit == MILLIMETRE).all():
+            return feed_values
+        displacement = np.diff(
+            plain.out_position[:move_count], axis=0, prepend=np.array([position_before])
+        )
+        at_feed = (feed_values > 0) | self._dialect.rapid_is_feed
+        only_turns = ~displacement[:, self._lengths].any(axis=1) & at_feed
+        return np.where(only_turns, feed_values * MILLIMETRE / feed_unit, feed_values)
 
 
 _RESERVED = "EFGLMNOP"
@@ -299,22 +315,22 @@ def read_part_program(
                 f"the axis {name} of {machine.name!r} has the letter of another word",
                 remedy="A part program moves axes A B C U V W X Y Z.",
             )
-    spoken = _dialect(machine, dialect)
-    rule = f_rule(machine, feed_mode, tuple(base_axes), spoken.feed_rule)
+    spoken_dialect = _dialect(machine, dialect)
+    rule = f_rule(machine, feed_mode, tuple(base_axes), spoken_dialect.feed_rule)
     file = identify(path)
     letters = letters_of(machine, axes)
     reading = Reading(
-        str(path), machine.name, letters.axes, machine.axis_names, spoken, letters.dropped,
-        wrapped_axes(machine, spoken.name), tool_lengths(machine, letters.axes),
+        str(path), machine.name, letters.axes, machine.axis_names, spoken_dialect, letters.dropped,
+        wrapped_axes(machine, spoken_dialect.name), tool_lengths(machine, letters.axes),
     )  # fmt: skip
     linear = tuple(axis.kind == "linear" for axis in machine.axes.values())
     program: PartProgram | ParametricProgram
-    if spoken.flavour is not None and is_parametric(file):
+    if spoken_dialect.flavour is not None and is_parametric(file):
         from threadline.jobs.gcode.parametric.program import survey
 
         surveyed = survey(file, reading, linear, rule, machine)
         program, findings = surveyed.program, surveyed.findings
-        moved, label = surveyed.moved, None
+        moved_axes, label = surveyed.moved, None
     else:
         scanner = Scanner(file, reading)
         structure = scanner.run()
@@ -327,7 +343,7 @@ def read_part_program(
         _check_budget(structure, file, machine)
         systems = zeros_of(scanner.systems, machine, file)
         program = PartProgram(file, reading, linear, rule, systems, structure)
-        findings, moved = scanner.findings, scanner.moved_axes
+        findings, moved_axes = scanner.findings, scanner.moved_axes
         label = structure.main.label
     return Job(
         name=path.name,
@@ -336,10 +352,10 @@ def read_part_program(
         axes=machine.axis_names,
         start=(0.0,) * len(machine.axis_names),
         operations=OperationStream(KeptOperations(_runs, program), Stream(_folded, program)),
-        warnings=program_warnings(findings, file, spoken),
-        capped=capped_feeds(findings, moved, label, machine, file),
+        warnings=program_warnings(findings, file, spoken_dialect),
+        capped=capped_feeds(findings, moved_axes, label, machine, file),
         feed_rule=rule.text,
-        dialect=spoken.name,
+        dialect=spoken_dialect.name,
         sets_limits=bool(findings.limits),
     )
 
@@ -352,14 +368,14 @@ def wrapped_axes(machine: Machine, dialect: str) -> frozenset[int]:
     MachineError
         If the dialect knows no such axes.
     """
-    found = [at for at, axis in enumerate(machine.axes.values()) if axis.wrapped]
-    if found and dialect != "linuxcnc":
+    wrapped = [index for index, axis in enumerate(machine.axes.values()) if axis.wrapped]
+    if wrapped and dialect != "linuxcnc":
         raise MachineError(
-            f"axes.{machine.axis_names[found[0]]}.wrapped: LinuxCNC alone reads angles in one "
+            f"axes.{machine.axis_names[wrapped[0]]}.wrapped: LinuxCNC alone reads angles in one "
             f"turn, and the program is read as {dialect}",
             remedy='Remove it from the machine file, or take dialect = "linuxcnc".',
         )
-    return frozenset(found)
+    return frozenset(wrapped)
 
 
 def _runs(program: PartProgram | ParametricProgram) -> Iterator[Operation | MoveRun]:
@@ -390,12 +406,12 @@ def _check_budget(structure: Structure, file: SourceFile, machine: Machine) -> N
     needed = totals.operations
     if needed <= budget:
         return
-    call = max(
+    costliest_call = max(
         main.calls.items(),
         key=lambda item: item[1].passes * structure.totals[item[0]].operations,
         default=None,
     )
-    line = main.line if call is None else call[1].line
+    line = main.line if costliest_call is None else costliest_call[1].line
     count = f"{needed}" if needed < 10**15 else "more than 10^15"
     raise BudgetError(
         f"the program asks for {count} operations with all passes; the machine's tick budget is "

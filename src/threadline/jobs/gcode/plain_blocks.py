@@ -127,8 +127,8 @@ def _follow_plain(  # noqa: PLR0915 - one loop over the bytes; calls would cost 
     room = out_line.shape[0]
     end = data.shape[0]
     target = np.empty(n_axes, np.int64)
-    given = np.empty(n_axes, np.bool_)
-    new = np.empty(n_axes, np.float64)
+    has_word = np.empty(n_axes, np.bool_)
+    new_position = np.empty(n_axes, np.float64)
     moves = 0
     follow = state[FOLLOW] != 0
     while moves < room:
@@ -140,7 +140,7 @@ def _follow_plain(  # noqa: PLR0915 - one loop over the bytes; calls would cost 
         f_word = -1
         seen_g_motion = seen_g_distance = seen_n = has_axes = False
         for k in range(n_axes):
-            given[k] = False
+            has_word[k] = False
         plain = True
         code_seen = False
         book[IN_BLOCK] = 0
@@ -263,10 +263,10 @@ def _follow_plain(  # noqa: PLR0915 - one loop over the bytes; calls would cost 
                 f_word = value
                 continue
             axis = axis_of[letter]
-            if axis < 0 or given[axis]:
+            if axis < 0 or has_word[axis]:
                 plain = False
                 break
-            given[axis] = True
+            has_word[axis] = True
             has_axes = True
             target[axis] = value
         if not plain or at - start > state[LONGEST]:
@@ -279,22 +279,22 @@ def _follow_plain(  # noqa: PLR0915 - one loop over the bytes; calls would cost 
             break  # a curve, or a missing G word
         if has_axes and follow:
             # Check the whole block before any state changes.
-            value_f = feed[0]
+            feed_value = feed[0]
             if f_word != -1:
                 if state[INVERSE] != 0:
-                    value_f = f_word / (60.0 * STEPS)
+                    feed_value = f_word / (60.0 * STEPS)
                 else:
                     if f_word >= EXACT_LIMIT // 254:
                         break
-                    value_f = (f_word * state[TENTH_MM]) / (600_000.0 * STEPS)
+                    feed_value = (f_word * state[TENTH_MM]) / (600_000.0 * STEPS)
             if motion < 0:
                 break
             at_feed = motion == 1 or state[RAPID_FEED] != 0
-            if at_feed and (math.isnan(value_f) or (state[INVERSE] != 0 and f_word == -1)):
+            if at_feed and (math.isnan(feed_value) or (state[INVERSE] != 0 and f_word == -1)):
                 break
             fits = True
             for k in range(n_axes):
-                if given[k]:
+                if has_word[k]:
                     value = target[k]
                     if linear[k]:
                         if abs(value) >= EXACT_LIMIT:
@@ -311,42 +311,42 @@ def _follow_plain(  # noqa: PLR0915 - one loop over the bytes; calls would cost 
                         break
                     target[k] = value
                     if linear[k]:
-                        new[k] = value / (1000.0 * STEPS)
+                        new_position[k] = value / (1000.0 * STEPS)
                     else:
-                        new[k] = (value / (1.0 * STEPS)) * _RAD
+                        new_position[k] = (value / (1.0 * STEPS)) * _RAD
                 else:
                     target[k] = exact[k]
-                    new[k] = position[k]
+                    new_position[k] = position[k]
             if not fits:
                 break
             for k in range(n_axes):
                 exact[k] = target[k]
-                position[k] = new[k]
-                out_position[moves, k] = new[k]
-            feed[0] = value_f
+                position[k] = new_position[k]
+                out_position[moves, k] = new_position[k]
+            feed[0] = feed_value
             if motion == 1:
-                out_feed[moves] = value_f
+                out_feed[moves] = feed_value
             else:
-                out_feed[moves] = -value_f if at_feed else -1.0
+                out_feed[moves] = -feed_value if at_feed else -1.0
             for k in range(book[IN_BLOCK]):
-                which, decimals = book[WHICH + k], book[DECIMALS + k]
-                number = float(book[DIGITS + k])
+                tag, decimals = book[WHICH + k], book[DECIMALS + k]
+                tag_value = float(book[DIGITS + k])
                 if decimals != 0:  # a division costs as much as one or two digits
                     # Both are exact (15 digits, powers of ten up to 1e15): this rounds once.
-                    number /= POWERS[decimals if decimals > 0 else ~decimals]
+                    tag_value /= POWERS[decimals if decimals > 0 else ~decimals]
                     if decimals < 0:
-                        number = -number
-                for lacking in range(tagged[which], moves):
-                    out_tag[which, lacking] = np.nan
-                out_tag[which, moves] = number
-                tagged[which] = moves + 1
+                        tag_value = -tag_value
+                for move_without in range(tagged[tag], moves):
+                    out_tag[tag, move_without] = np.nan
+                out_tag[tag, moves] = tag_value
+                tagged[tag] = moves + 1
         if has_axes:
             if motion == 0 and f_word != -1 and state[RAPID_F] == 0:
                 state[RAPID_F] = state[LINE]
             out_line[moves] = state[LINE]
             out_word[moves] = f_word
             for k in range(n_axes):
-                used[k] = used[k] or given[k]
+                used[k] = used[k] or has_word[k]
             moves += 1
         state[MOTION] = motion
         state[RELATIVE] = relative
@@ -425,26 +425,26 @@ class PlainReader:
 
     def columns(self, count: int) -> Mapping[str, Column]:
         """Return the tags of the ``count`` moves just read, as (count,) values by name."""
-        found: dict[str, Column] = {}
-        for which, end in enumerate(self._tagged.tolist()):
+        tag_columns: dict[str, Column] = {}
+        for tag, end in enumerate(self._tagged.tolist()):
             if end == 0:
                 continue
-            if which not in self._names:
-                self._names[which] = name_of(self._book, which)
-            column = self._out_tag[which, :count].copy()
+            if tag not in self._names:
+                self._names[tag] = name_of(self._book, tag)
+            column = self._out_tag[tag, :count].copy()
             if end < count:
                 column[end:] = np.nan
-            found[self._names[which]] = column
-        if found:
+            tag_columns[self._names[tag]] = column
+        if tag_columns:
             self._tagged[:] = 0
-        return found or NO_COLUMNS
+        return tag_columns or NO_COLUMNS
 
 
 def plain_reader(reading: Reading, linear: tuple[bool, ...], follow: bool) -> PlainReader:
     """Return the compiled reader for the dialect of a program."""
     dialect = reading.dialect
     # The compiled reader knows no wrapped axes, and stops before their words.
-    axes = {letter: at for letter, at in reading.axes.items() if at not in reading.wrapped}
+    axes = {letter: index for letter, index in reading.axes.items() if index not in reading.wrapped}
     plain = PlainReader(axes, linear, follow)
     plain.state[RAPID_FEED] = dialect.rapid_is_feed
     plain.state[EACH_G] = dialect.each_g

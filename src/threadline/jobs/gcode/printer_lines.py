@@ -64,8 +64,8 @@ def commands_of(text: str, name: str, place: Place) -> list[str]:
 
 def number_of_line(text: str) -> int | None:
     """Return the line number (N) at the front of a line, None without one."""
-    found = _NUMBER_OF_LINE.match(text)
-    return None if found is None else int(found[1])
+    number_match = _NUMBER_OF_LINE.match(text)
+    return None if number_match is None else int(number_match[1])
 
 
 def text_of_stop(text: str) -> str:
@@ -97,13 +97,13 @@ def one_command(text: str, name: str, place: Place) -> str:
     JobError
         If a checksum is wrong or missing, or the firmware would run other words than written.
     """
-    code, mark, comment = text.partition(";")
+    code, semicolon, comment = text.partition(";")
     if name == "klipper":
-        return f"{_for_klipper(code, place)}{mark}{comment}"
+        return f"{_for_klipper(code, place)}{semicolon}{comment}"
     code = _without_checksum(code, place)
-    said = _TEXT.match(code)
-    if said is not None:
-        return said[0]
+    text_match = _TEXT.match(code)
+    if text_match is not None:
+        return text_match[0]
     code = _without_parentheses(code, place)
     if not code.isascii() or code != code.upper():
         raise JobError(
@@ -132,7 +132,7 @@ def one_command(text: str, name: str, place: Place) -> str:
         )
     if _FLAGS.match(code):
         code = _ALONE.sub(r"\g<1>0", code)
-    return f"{code}{mark}{comment}"
+    return f"{code}{semicolon}{comment}"
 
 
 def _without_parentheses(code: str, place: Place) -> str:
@@ -150,10 +150,10 @@ def _without_parentheses(code: str, place: Place) -> str:
     bare = _PARENTHESES.sub("", code)
     if bare == code and ")" not in code:
         return code
-    inside = "".join(_PARENTHESES.findall(code))
-    read = "[A-OQ-Z]" if _STRAIGHT.match(bare) else "[A-Z]"
-    idle = not bare.strip() or _MOTORS.match(bare) is not None
-    if ")" in bare or not (idle or re.search(read, inside) is None):
+    in_parentheses = "".join(_PARENTHESES.findall(code))
+    read_letters = "[A-OQ-Z]" if _STRAIGHT.match(bare) else "[A-Z]"
+    reads_no_words = not bare.strip() or _MOTORS.match(bare) is not None
+    if ")" in bare or not (reads_no_words or re.search(read_letters, in_parentheses) is None):
         raise JobError(
             "marlin reads the capital letters in parentheses as words, unless it is built with "
             "PAREN_COMMENTS",
@@ -172,18 +172,19 @@ def _for_klipper(code: str, place: Place) -> str:
     if code.lstrip().startswith("(") and not _PARENTHESES.sub("", code).strip():
         return ""
     code = _CHECKSUM.sub("", code.upper().replace("\t", " ").strip())
-    number = _NUMBER_OF_LINE.match(code)
-    code = code if number is None else f" {code[number.end() :]}"
-    said = _TEXT.match(code)
-    if said is not None:
-        return said[0]
+    number_match = _NUMBER_OF_LINE.match(code)
+    code = code if number_match is None else f" {code[number_match.end() :]}"
+    text_match = _TEXT.match(code)
+    if text_match is not None:
+        return text_match[0]
     if not code.strip(" %"):
         return code
-    odd = _NOT_OF_KLIPPER.search(code)
-    if odd is not None or _COMMAND.match(code) is None:
+    unreadable = _NOT_OF_KLIPPER.search(code)
+    if unreadable is not None or _COMMAND.match(code) is None:
         raise JobError(
             f"klipper cannot read {code.strip()[:40]!r} as a command (G, M or T and a number) with "
-            "a number behind each letter" + (f", for {odd[0]!r} in it" if odd is not None else ""),
+            "a number behind each letter"
+            + (f", for {unreadable[0]!r} in it" if unreadable is not None else ""),
             place=place,
             remedy="Write it like G1 X5 F600, and a comment behind a semicolon.",
         )
@@ -192,29 +193,29 @@ def _for_klipper(code: str, place: Place) -> str:
 
 def _without_checksum(code: str, place: Place) -> str:
     """Return a line without its checksum and without its line number."""
-    number, checksum = _NUMBER_OF_LINE.match(code), _CHECKSUM.search(code)
-    if number is None and checksum is None:
+    number_match, checksum_match = _NUMBER_OF_LINE.match(code), _CHECKSUM.search(code)
+    if number_match is None and checksum_match is None:
         return code
-    if number is not None and checksum is None:
+    if number_match is not None and checksum_match is None:
         raise JobError(
-            f"the line has the number N{number[1]} and no checksum: marlin asks for it again",
+            f"the line has the number N{number_match[1]} and no checksum: marlin asks for it again",
             place=place,
             remedy="Take the number out: the program that sends the file writes its own.",
         )
-    assert checksum is not None
-    body = code[: checksum.start()]
-    right = 0
+    assert checksum_match is not None
+    body = code[: checksum_match.start()]
+    checksum = 0
     for byte in body.lstrip(" ").encode():
-        right ^= byte
-    if number is not None and int(checksum[1]) != right:
+        checksum ^= byte
+    if number_match is not None and int(checksum_match[1]) != checksum:
         raise JobError(
-            f"the checksum of the line is {checksum[1]} and must be {right}: marlin does not run "
-            "the line",
+            f"the checksum of the line is {checksum_match[1]} and must be {checksum}: marlin does "
+            "not run the line",
             place=place,
             remedy="Have the program written again: the line was changed, or take the N word and "
             "the checksum out.",
         )
-    return body if number is None else body[number.end() - 1 :]
+    return body if number_match is None else body[number_match.end() - 1 :]
 
 
 def _for_reprapfirmware(text: str, place: Place, *, cnc: bool = False) -> list[str]:
@@ -231,34 +232,36 @@ def _for_reprapfirmware(text: str, place: Place, *, cnc: bool = False) -> list[s
     >>> _for_reprapfirmware("(to the right) X5 F600", Place("a.g", 1), cnc=True)
     ['X5 F600']
     """
-    text = _BRACKETED.sub(lambda part: "" if part[0][0] == "(" else part[0], text) if cnc else text
-    found = _CODE.match(text)
-    assert found is not None
-    code, comment = found[0], text[found.end() :]
+    text = (
+        _BRACKETED.sub(lambda match: "" if match[0][0] == "(" else match[0], text) if cnc else text
+    )
+    code_match = _CODE.match(text)
+    assert code_match is not None
+    code, comment = code_match[0], text[code_match.end() :]
     code = _numbered_for_reprapfirmware(code, place).strip(" \t\r")
     if not code.strip("% \t") or _SAYS.fullmatch(code):
         return []
-    bare = _QUOTED.sub(lambda quoted: '"' * len(quoted[0]), code)
-    text_of_line = _TAKES_LINE.search(bare)
-    if text_of_line is not None:  # the rest of the line is a name or a message
-        code, bare = code[: text_of_line.end()], bare[: text_of_line.end()]
+    bare = _QUOTED.sub(lambda text_match: '"' * len(text_match[0]), code)
+    text_command = _TAKES_LINE.search(bare)
+    if text_command is not None:  # the rest of the line is a name or a message
+        code, bare = code[: text_command.end()], bare[: text_command.end()]
     _refuse_for_reprapfirmware(code, bare, place)
-    starts = [at for at, letter in enumerate(bare) if letter in "GMgm" or at == 0]
+    starts = [index for index, letter in enumerate(bare) if letter in "GMgm" or index == 0]
     pieces = []
     for start, end in zip(starts, [*starts[1:], len(code)], strict=True):
         piece = code[start:end].upper()
         if cnc and start == 0 and _AXIS_WORD.match(piece) and '"' not in piece:
             pieces.append(piece)
             continue
-        begins = _BEGINS.match(piece)
-        if begins is None or begins[0] in {"G", "M"}:
+        command_match = _BEGINS.match(piece)
+        if command_match is None or command_match[0] in {"G", "M"}:
             raise JobError(
                 f"reprapfirmware answers to {piece[:40]!r} with an error: a command is G, M or T "
                 "with its number directly behind",
                 place=place,
                 remedy="Write it like G1 X5 F600, and a comment behind a semicolon.",
             )
-        word, rest = begins[0], piece[begins.end() :].lstrip()
+        word, rest = command_match[0], piece[command_match.end() :].lstrip()
         if word in _TAKES_TEXT:
             pieces.append(word)
             continue
@@ -284,46 +287,48 @@ def _refuse_for_reprapfirmware(code: str, bare: str, place: Place) -> None:
 
     ``bare`` is the line with quotes in place of its texts.
     """
-    meta = _META.match(code)
-    why, remedy = "", "Have the program written with numbers and commands alone."
-    if meta is not None:
-        why = f"{meta[1]} is a meta command of reprapfirmware, which is not run here"
+    meta_match = _META.match(code)
+    fault, remedy = "", "Have the program written with numbers and commands alone."
+    if meta_match is not None:
+        fault = f"{meta_match[1]} is a meta command of reprapfirmware, which is not run here"
     elif "{" in bare or "}" in bare:
-        why = "expressions in braces are not read: only the firmware knows their values"
+        fault = "expressions in braces are not read: only the firmware knows their values"
     elif "(" in bare or ")" in bare:
-        why = (
+        fault = (
             "reprapfirmware reads the letters in parentheses as words, unless M453 has made it a "
             "CNC machine"
         )
         remedy = "Write a comment behind a semicolon."
     elif "'" in bare:
-        why = "an apostrophe names an axis with a small letter, which no machine here has"
+        fault = "an apostrophe names an axis with a small letter, which no machine here has"
         remedy = "Name the axis by a capital letter, without the apostrophe."
     elif len(code) > REPRAPFIRMWARE.longest:
-        why = f"the line has {len(code)} characters; reprapfirmware takes {REPRAPFIRMWARE.longest}"
+        fault = (
+            f"the line has {len(code)} characters; reprapfirmware takes {REPRAPFIRMWARE.longest}"
+        )
         remedy = "Write its commands on lines of their own, or fewer decimals."
-    if why:
-        raise JobError(why, place=place, remedy=remedy)
+    if fault:
+        raise JobError(fault, place=place, remedy=remedy)
 
 
 def _numbered_for_reprapfirmware(code: str, place: Place) -> str:
     """Return a line without its number, and without its checksum, which must be right."""
-    number = _NUMBERED.match(code)
-    if number is None:
+    number_match = _NUMBERED.match(code)
+    if number_match is None:
         return code
-    end = _QUOTED.sub(lambda quoted: '"' * len(quoted[0]), code).find("*")
-    if end < 0:
-        return code[number.end() :]
-    right = 0
-    for byte in code[:end].lstrip(" \t").encode():
-        right ^= byte
-    checksum = _REPRAP_CHECKSUM.match(code, end)
-    if checksum is None or int(checksum[1]) != right:
+    star = _QUOTED.sub(lambda text_match: '"' * len(text_match[0]), code).find("*")
+    if star < 0:
+        return code[number_match.end() :]
+    checksum = 0
+    for byte in code[:star].lstrip(" \t").encode():
+        checksum ^= byte
+    checksum_match = _REPRAP_CHECKSUM.match(code, star)
+    if checksum_match is None or int(checksum_match[1]) != checksum:
         raise JobError(
-            f"the checksum of the line is {code[end + 1 :].strip()[:20] or 'missing'} and must be "
-            f"{right}: reprapfirmware does not run the line",
+            f"the checksum of the line is {code[star + 1 :].strip()[:20] or 'missing'} and must be "
+            f"{checksum}: reprapfirmware does not run the line",
             place=place,
             remedy="Have the program written again: the line was changed, or take the N word and "
             "the checksum out.",
         )
-    return code[number.end() : end]
+    return code[number_match.end() : star]

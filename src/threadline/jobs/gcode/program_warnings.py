@@ -28,12 +28,12 @@ def capped_feeds(
     label
         Number of the main program; None for a program with parameters.
     """
-    used = moved or range(len(machine.axis_names))  # G28 without axis words names no axis
+    used_axes = moved or range(len(machine.axis_names))  # G28 without axis words names no axis
     caps_m_s = normal_feed_m_s(machine)
     if machine.operator is None or caps_m_s is None:
         return ()
-    cap_m_s = min(caps_m_s[i] for i in used)
-    caps = ", ".join(f"{machine.axis_names[i]} {1e3 * caps_m_s[i]:.1f}" for i in used)
+    cap_m_s = min(caps_m_s[i] for i in used_axes)
+    caps = ", ".join(f"{machine.axis_names[i]} {1e3 * caps_m_s[i]:.1f}" for i in used_axes)
     speeds_m_s = [
         (line, feed, feed * tenth_mm / (600_000 * ONE))
         for (feed, tenth_mm), line in findings.feeds.speeds(label).items()
@@ -74,9 +74,9 @@ def program_warnings(findings: Findings, file: SourceFile, dialect: Dialect) -> 
             "it holds for every move of Z, and the program's zero is at the start position."
         )
     if findings.macros:
-        named = ", ".join(f"{name} (line {line})" for name, line in findings.macros.items())
+        macros = ", ".join(f"{name} (line {line})" for name, line in findings.macros.items())
         warnings.append(
-            f"{file.place()}: macros, first seen: {named}: the plan rests there, and does not "
+            f"{file.place()}: macros, first seen: {macros}: the plan rests there, and does not "
             "include their moves and their time."
         )
     if findings.limits:
@@ -98,19 +98,19 @@ def program_warnings(findings: Findings, file: SourceFile, dialect: Dialect) -> 
     warnings += _realtime(file, dialect)
     if findings.anew:
         lines = ", ".join(map(str, findings.anew[:_MAX_WARNINGS]))
-        more = " ..." if len(findings.anew) > _MAX_WARNINGS else ""
+        dots = " ..." if len(findings.anew) > _MAX_WARNINGS else ""
         warnings.append(
-            f"{file.place(findings.anew[0])}: M2 and M30 (lines {lines}{more}) set G1 G17 G54 G90 "
+            f"{file.place(findings.anew[0])}: M2 and M30 (lines {lines}{dots}) set G1 G17 G54 G90 "
             "G94 and do not end the program: grbl runs the lines after them. A sender that removes "
             "them leaves the modes as they are."
         )
     if findings.unset:
-        first = next(iter(findings.unset.items()))
-        names = " ".join(f"#{which}" for which in list(findings.unset)[:_MAX_WARNINGS])
-        more = " ..." if len(findings.unset) > _MAX_WARNINGS else ""
+        first_unset = next(iter(findings.unset.items()))
+        names = " ".join(f"#{number}" for number in list(findings.unset)[:_MAX_WARNINGS])
+        dots = " ..." if len(findings.unset) > _MAX_WARNINGS else ""
         warnings.append(
-            f"{file.place(first[1])}: parameters that the program has not set are 0 here "
-            f"({names}{more}); the control may have kept another value from an earlier program."
+            f"{file.place(first_unset[1])}: parameters that the program has not set are 0 here "
+            f"({names}{dots}); the control may have kept another value from an earlier program."
         )
     if findings.doubtful:
         warnings.append(
@@ -124,12 +124,14 @@ def program_warnings(findings: Findings, file: SourceFile, dialect: Dialect) -> 
             "known, and no time here includes it."
         )
     if findings.idle:
-        words = ", ".join(f"{w} (line {line})" for w, line in findings.idle.items())
-        silent = " ".join(w for w in findings.idle if w[1:].isdigit() and int(w[1:]) in SILENT)
-        left = f" compile leaves out words that only show or store: {silent}." * bool(silent)
-        dropped = " ".join(w for w in findings.idle if w in LETTERS + FILAMENT)
-        left += f" compile writes no {dropped}: --axes leaves it out." * bool(dropped)
-        warnings.append(f"{file.place()}: without effect on motion, first seen: {words}.{left}")
+        words = ", ".join(f"{word} (line {line})" for word, line in findings.idle.items())
+        silent = " ".join(
+            word for word in findings.idle if word[1:].isdigit() and int(word[1:]) in SILENT
+        )
+        left_out = f" compile leaves out words that only show or store: {silent}." * bool(silent)
+        dropped = " ".join(word for word in findings.idle if word in LETTERS + FILAMENT)
+        left_out += f" compile writes no {dropped}: --axes leaves it out." * bool(dropped)
+        warnings.append(f"{file.place()}: without effect on motion, first seen: {words}.{left_out}")
     return _first(warnings)
 
 
@@ -138,9 +140,10 @@ def _long_dwells(findings: Findings, file: SourceFile, dialect: Dialect) -> Iter
     for line, dwell_s in list(findings.long_dwells.items())[:1]:
         if dialect.dwell_s.get("P") != (1.0, 1.0):
             return
-        more = len(findings.long_dwells) - 1
-        others = f" ({more} more {'line waits' if more == 1 else 'lines wait'} as long)" * bool(
-            more
+        further = len(findings.long_dwells) - 1
+        others = (
+            f" ({further} more {'line waits' if further == 1 else 'lines wait'} as long)"
+            * bool(further)
         )
         yield (
             f"{file.place(line)}: this G4 waits {dwell_s:g} s{others}: {dialect.name} takes P as "
@@ -158,19 +161,19 @@ def _realtime(file: SourceFile, dialect: Dialect) -> list[str]:
     line, letter = first_found(file, dialect.grammar.realtime)
     if not line:
         return []
-    does = _ACT_NOW.get(letter, "stops the machine or changes an override")
+    effect = _ACT_NOW.get(letter, "stops the machine or changes an override")
     return [
         f"{file.place(line)}: {dialect.name} acts on {letter!r} as soon as it is sent, even within "
-        f"a comment: it {does}. Use a sender that leaves comments out, or delete ! ~ ? and all "
+        f"a comment: it {effect}. Use a sender that leaves comments out, or delete ! ~ ? and all "
         "letters that are not ASCII."
     ]
 
 
 def _first(warnings: Iterable[str]) -> tuple[str, ...]:
-    found = tuple(warnings)
-    if len(found) <= _MAX_WARNINGS:
-        return found
+    all_warnings = tuple(warnings)
+    if len(all_warnings) <= _MAX_WARNINGS:
+        return all_warnings
     return (
-        *found[:_MAX_WARNINGS],
-        f"{len(found) - _MAX_WARNINGS} more warnings of these kinds.",
+        *all_warnings[:_MAX_WARNINGS],
+        f"{len(all_warnings) - _MAX_WARNINGS} more warnings of these kinds.",
     )

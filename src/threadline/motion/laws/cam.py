@@ -151,29 +151,29 @@ def read_cam(file: Path, triangle: Triangle | None = None) -> MeasuredCam:
     rows: list[list[float]] = []
     lines: list[int] = []
     decimals: list[int] = []
-    finest = 0
+    finest_exponent = 0
     for number, cells in enumerate(csv.reader(text.splitlines()), start=1):
-        kept = [cell.strip() for cell in cells]
-        if not any(kept) or kept[0].startswith("#"):
+        texts = [cell.strip() for cell in cells]
+        if not any(texts) or texts[0].startswith("#"):
             continue
         place = Place(str(file), number)
         if not header:
-            header = [_column(cell, place) for cell in kept]
+            header = [_column(cell, place) for cell in texts]
             _refuse_columns(header, place)
             continue
         try:
-            values = [float(cell) for cell in kept]
+            values = [float(cell) for cell in texts]
         except ValueError:
             values = []
         if len(values) != len(header) or not np.isfinite(values).all():
             raise OptionError(
-                f"cam: {','.join(kept)[:80]!r} is not a row of {len(header)} numbers", place=place
+                f"cam: {','.join(texts)[:80]!r} is not a row of {len(header)} numbers", place=place
             )
         rows.append([value * unit for value, (_, unit) in zip(values, header, strict=True)])
         lines.append(number)
-        decimals.append(-_exponent(kept[-1]))
-        measured = next(k for k, (name, _) in enumerate(header) if name == "h")
-        finest = min(finest, _exponent(kept[measured]))
+        decimals.append(-_exponent(texts[-1]))
+        h_column = next(k for k, (name, _) in enumerate(header) if name == "h")
+        finest_exponent = min(finest_exponent, _exponent(texts[h_column]))
         if len(rows) > _MOST_ROWS:
             raise OptionError(f"cam: more than {_MOST_ROWS} rows", place=place)
     if len(rows) < _FEWEST:
@@ -202,7 +202,7 @@ def read_cam(file: Path, triangle: Triangle | None = None) -> MeasuredCam:
     return MeasuredCam(
         file=file.name, alpha_rad=alpha, h_m=h, lines=tuple(lines), flags=tuple(flags),
         triangle=triangle, follower=follower, follower_slope=slope,
-        rounding_m=10.0**finest * dict(header)["h"] / sqrt(12.0),
+        rounding_m=10.0**finest_exponent * dict(header)["h"] / sqrt(12.0),
     )  # fmt: skip
 
 
@@ -240,9 +240,9 @@ def _refuse_columns(header: list[tuple[str, float]], place: Place) -> None:
 
 
 def _refuse_falling(alpha: FloatArray, file: Path, lines: list[int]) -> None:
-    fallen = np.flatnonzero(np.diff(alpha) <= 0.0)
-    if len(fallen):
-        k = int(fallen[0]) + 1
+    fallen_rows = np.flatnonzero(np.diff(alpha) <= 0.0)
+    if len(fallen_rows):
+        k = int(fallen_rows[0]) + 1
         what = "repeats" if alpha[k] == alpha[k - 1] else "falls: it follows"
         raise OptionError(
             f"cam: the angle {np.degrees(alpha[k]):g} deg {what} "

@@ -164,11 +164,11 @@ def study_cam(
             remedy='Say how far to trust them: --noise "0.001 mm".',
         )
     refuse_no_rise(cam, noise)
-    own = noise * np.abs(cam.follower_slope)
-    rise = rise_of(alpha, h, noise, cam.follower, own, start_rad, end_rad)
+    follower_noise = noise * np.abs(cam.follower_slope)
+    rise = rise_of(alpha, h, noise, cam.follower, follower_noise, start_rad, end_rad)
     t = (alpha - rise.start_rad) / (rise.end_rad - rise.start_rad)
-    inside = (t >= -1e-12) & (t <= 1.0 + 1e-12)
-    if not inside.any():
+    in_rise = (t >= -1e-12) & (t <= 1.0 + 1e-12)
+    if not in_rise.any():
         raise OptionError(
             f"cam: no row lies within the rise, {np.degrees(rise.start_rad):.4g} to "
             f"{np.degrees(rise.end_rad):.4g} deg",
@@ -176,47 +176,47 @@ def study_cam(
             remedy="Measure rows between the two dwells.",
         )
     smooth_ends = (rise.start_found or start_rad is not None, rise.end_found or end_rad is not None)
-    smoother = Smoother(t, own, smooth_ends)
+    smoother = Smoother(t, follower_noise, smooth_ends)
     weight = smoother.weight_for(cam.follower)
     smooth = smoother.fit(cam.follower, weight)
     bounced = rebound(alpha, h, noise, epsilon=epsilon_m, most_passes=most_passes)
-    even = float(np.ptp(np.diff(alpha))) <= _EVEN * float(np.diff(alpha).mean())
+    evenly_spaced = float(np.ptp(np.diff(alpha))) <= _EVEN * float(np.diff(alpha).mean())
 
     methods: dict[Fairing, Callable[[FloatArray], FloatArray]] = {Fairing.NONE: lambda y: y}
-    if even:
+    if evenly_spaced:
         methods[Fairing.DIFFERENCES] = lambda y: differences(y, noise)
     # The rebound is linear, and its slopes at the ends are 0.
-    many = np.linalg.matrix_power(pass_matrix(alpha), bounced.passes)
-    methods[Fairing.REBOUND] = lambda y: many @ y
+    rebound_matrix = np.linalg.matrix_power(pass_matrix(alpha), bounced.passes)
+    methods[Fairing.REBOUND] = lambda y: rebound_matrix @ y
     random = np.random.default_rng(_SEED)
-    true = cam.distance_of(smooth.values)
-    drawn = [true + noise * random.standard_normal(len(h)) for _ in range(draws)]
-    table = []
+    smoothed_m = cam.distance_of(smooth.values)
+    drawn_m = [smoothed_m + noise * random.standard_normal(len(h)) for _ in range(draws)]
+    faired_cams = []
     for each, method in methods.items():
-        followers = np.array([cam.follower_of(method(y)) for y in drawn])
-        spread = _spline_peaks(t, followers.T, inside).T
-        table.append(_faired(each, cam, method(h), t, inside, spread))
-    spread = np.array([smoother.peaks(smoother.solve(cam.follower_of(y), weight)) for y in drawn])
+        followers = np.array([cam.follower_of(method(y)) for y in drawn_m])
+        spread = _spline_peaks(t, followers.T, in_rise).T
+        faired_cams.append(_faired(each, cam, method(h), t, in_rise, spread))
+    spread = np.array([smoother.peaks(smoother.solve(cam.follower_of(y), weight)) for y in drawn_m])
     law = law_of_velocity("cam", smooth.knots, smooth.coefficients, 3)
-    table.append(
+    faired_cams.append(
         Faired(
-            fairing=Fairing.SPLINE, distances_m=true, moved_m=_rms(true - h),
-            second_m=_second(alpha, true),
+            fairing=Fairing.SPLINE, distances_m=smoothed_m, moved_m=_rms(smoothed_m - h),
+            second_m=_second(alpha, smoothed_m),
             peaks=np.array([law.velocity, law.acceleration, law.jerk or np.inf]),
             spread=spread.std(axis=0), monotone=True,
         )
     )  # fmt: skip
-    chosen = next((each for each in table if each.fairing is fairing), None)
+    chosen = next((each for each in faired_cams if each.fairing is fairing), None)
     if chosen is None:
         raise OptionError(
             "cam: differences need rows at even angles", remedy="Choose spline or rebound."
         )
     if fairing is not Fairing.SPLINE:
-        law = _through(t, cam.follower_of(chosen.distances_m), inside)
-    outliers, scaled = _outliers(t, own, smooth_ends, cam.follower, weight)
+        law = _through(t, cam.follower_of(chosen.distances_m), in_rise)
+    outliers, scaled = _outliers(t, follower_noise, smooth_ends, cam.follower, weight)
     return CamStudy(
         cam=cam, noise_m=noise, noise_given=noise_m is not None, rise=rise,
-        fairings=tuple(table), chosen=fairing, law=law, outliers=outliers,
+        fairings=tuple(faired_cams), chosen=fairing, law=law, outliers=outliers,
         scaled=scaled, rebounded=bounced,
         warnings=(
             *_warnings_of_rows(cam, rise, outliers),
@@ -238,20 +238,20 @@ def _outliers(
     outlier loses its weight before the search for the next one, because it would pull the fit away
     from its neighbours.
     """
-    found: list[int] = []
-    doubted = noise.copy()
-    scaled = np.zeros_like(noise)
+    outlier_rows: list[int] = []
+    row_noise = noise.copy()
+    scaled_residuals = np.zeros_like(noise)
     for _ in range(len(t) // 10 + 1):
-        fit = Smoother(t, doubted, smooth_ends).fit(follower, weight)
-        now = np.abs(fit.scaled)
-        now[found] = 0.0
-        scaled = np.where(doubted > noise, (follower - fit.values) / noise, fit.scaled)
-        worst = int(np.argmax(now))
-        if now[worst] <= _OUTLIER or len(found) >= len(t) // 10:
+        fit = Smoother(t, row_noise, smooth_ends).fit(follower, weight)
+        magnitudes = np.abs(fit.scaled)
+        magnitudes[outlier_rows] = 0.0
+        scaled_residuals = np.where(row_noise > noise, (follower - fit.values) / noise, fit.scaled)
+        worst = int(np.argmax(magnitudes))
+        if magnitudes[worst] <= _OUTLIER or len(outlier_rows) >= len(t) // 10:
             break
-        found.append(worst)
-        doubted[worst] *= _DOUBT
-    return tuple(sorted(found)), scaled
+        outlier_rows.append(worst)
+        row_noise[worst] *= _DOUBT
+    return tuple(sorted(outlier_rows)), scaled_residuals
 
 
 def _normalised(
@@ -262,15 +262,15 @@ def _normalised(
     ``follower`` is (n,), or (n, draws) for the rises of many draws.
     """
     first, last = follower[inside][0], follower[inside][-1]
-    before, after = follower[t < 0.0], follower[t > 1.0]
-    low = before.mean(axis=0) if len(before) else first
-    high = after.mean(axis=0) if len(after) else last
+    before_rise, after_rise = follower[t < 0.0], follower[t > 1.0]
+    low = before_rise.mean(axis=0) if len(before_rise) else first
+    high = after_rise.mean(axis=0) if len(after_rise) else last
     u, s = t[inside], (follower[inside] - low) / (high - low)
-    end = np.zeros_like(s[:1])
+    zero_row = np.zeros_like(s[:1])
     if u[0] > 1e-9:
-        u, s = np.append(0.0, u), np.concatenate((end, s))
+        u, s = np.append(0.0, u), np.concatenate((zero_row, s))
     if u[-1] < 1.0 - 1e-9:
-        u, s = np.append(u, 1.0), np.concatenate((s, end + 1.0))
+        u, s = np.append(u, 1.0), np.concatenate((s, zero_row + 1.0))
     u, s = u.copy(), s.copy()
     u[0], u[-1], s[0], s[-1] = 0.0, 1.0, 0.0, 1.0
     return u, s
@@ -285,10 +285,15 @@ def _spline_peaks(t: FloatArray, follower: FloatArray, inside: NDArray[np.bool_]
 
     u, s = _normalised(t, follower, inside)
     spline = CubicSpline(u, s, bc_type="clamped")
-    looks = (u[:-1, None] + np.diff(u)[:, None] * np.arange(_LOOKS) / _LOOKS).ravel()
-    knots = spline(u, 2)
-    jerks = (np.diff(knots, axis=0).T / np.diff(u)).T
-    return np.array([np.abs(each).max(axis=0) for each in (spline(looks, 1), knots, jerks)])
+    sample_times = (u[:-1, None] + np.diff(u)[:, None] * np.arange(_LOOKS) / _LOOKS).ravel()
+    knot_accelerations = spline(u, 2)
+    jerks = (np.diff(knot_accelerations, axis=0).T / np.diff(u)).T
+    return np.array(
+        [
+            np.abs(derivative).max(axis=0)
+            for derivative in (spline(sample_times, 1), knot_accelerations, jerks)
+        ]
+    )
 
 
 def _through(t: FloatArray, follower: FloatArray, inside: NDArray[np.bool_]) -> Law:
@@ -327,47 +332,47 @@ def _second(x: FloatArray, y: FloatArray) -> float:
 
 
 def _warnings_of_rows(cam: MeasuredCam, rise: Rise, outliers: tuple[int, ...]) -> list[str]:
-    said = []
+    warnings = []
     if cam.flags:
         angles = ", ".join(f"{np.degrees(cam.alpha_rad[flag.row]):g}" for flag in cam.flags)
-        said.append(
+        warnings.append(
             f"{len(cam.flags)} printed {'angle does' if len(cam.flags) == 1 else 'angles do'} not "
             f"match the measured distance, at {angles} deg; the distance is trusted"
         )
     if outliers:
         angles = ", ".join(f"{np.degrees(cam.alpha_rad[row]):g}" for row in outliers)
-        said.append(
+        warnings.append(
             f"{len(outliers)} {'row lies' if len(outliers) == 1 else 'rows lie'} more than "
             f"{_OUTLIER:g} times the noise off the smooth rise, at {angles} deg; kept, and to be "
             "measured again"
         )
     if not (rise.start_found and rise.end_found):
-        said += [line for line in rise.said if "no dwell" in line]
-    return said
+        warnings += [line for line in rise.said if "no dwell" in line]
+    return warnings
 
 
 def _warnings_of_fit(
     chosen: Faired, bounced: Rebound, epsilon: float | None, noise: float, smooth: Smoothed
 ) -> list[str]:
-    said = []
+    warnings = []
     if epsilon is not None:
-        said.append(
+        warnings.append(
             f"epsilon alone flattens the cam: the rebound goes on to a single cubic; after "
             f"{bounced.passes} passes it has moved the rows by {1e3 * bounced.moved:.3g} mm rms, "
             f"the noise is {1e3 * noise:.3g} mm"
         )
     if not chosen.monotone:
-        said.append(f"the law of the fairing {chosen.fairing} goes back: it has no inverse")
+        warnings.append(f"the law of the fairing {chosen.fairing} goes back: it has no inverse")
     if smooth.missed > _MISSED:
-        said.append(
+        warnings.append(
             "the nearest monotone rise from rest to rest misses the rows by "
             f"{smooth.missed:.3g} times the noise: the noise is larger than given, rows are "
             "wrong, or the ends are not at rest"
         )
     rows = len(chosen.distances_m)
     if smooth.freedom > 0.7 * rows:
-        said.append(
+        warnings.append(
             f"{rows} rows are few: the fit uses {smooth.freedom:.3g} parameters for them, "
             "so that Ca and Cj are little more than the smoothing"
         )
-    return said
+    return warnings

@@ -41,18 +41,18 @@ def law(name: str) -> Law:
     try:
         numbers = [float(word) for word in text.split(",")]
         with np.errstate(over="raise", divide="raise", invalid="raise"):
-            made = FAMILIES[kind](*numbers)
+            family_law = FAMILIES[kind](*numbers)
     except (TypeError, ValueError, ArithmeticError) as error:
         # A wrong count of numbers raises a TypeError, whose text is about Python and not shown.
-        why = str(error) if isinstance(error, ValueError) else f"it takes {TAKES[kind]}"
+        reason = str(error) if isinstance(error, ValueError) else f"it takes {TAKES[kind]}"
         if isinstance(error, ArithmeticError):
-            why = "its numbers are too small or too far apart"
+            reason = "its numbers are too small or too far apart"
         raise OptionError(
-            f"motion law {name!r}: {why}", remedy=f"Write it like {EXAMPLES[kind]!r}."
+            f"motion law {name!r}: {reason}", remedy=f"Write it like {EXAMPLES[kind]!r}."
         ) from None
-    for form in (made.form, made.closing):
+    for form in (family_law.form, family_law.closing):
         check_stretches(name, () if form is None else form.breaks)
-    return made
+    return family_law
 
 
 def trapezoid(ramp: float = 1.0 / 3.0) -> Law:
@@ -143,9 +143,9 @@ def modified_constant_velocity(share: float = 0.5) -> Law:
     # Both quarters of a sine: pi / 2 over ramp / 4 and over 3 ramp / 4. For 1/2 the peak is
     # 16 pi**2 / (5 pi + 4).
     fast, slow = 2.0 * pi / ramp, 2.0 * pi / (3.0 * ramp)
-    gained = 1.0 / fast + 1.0 / slow
-    risen = (ramp / 4.0 - 1.0 / fast) / fast + 0.75 * ramp / fast + 1.0 / slow**2
-    top = 1.0 / (2.0 * risen + gained * share)
+    velocity_gain = 1.0 / fast + 1.0 / slow
+    ramp_rise = (ramp / 4.0 - 1.0 / fast) / fast + 0.75 * ramp / fast + 1.0 / slow**2
+    top = 1.0 / (2.0 * ramp_rise + velocity_gain * share)
     phases = [
         Phase(begin=0.0, end=ramp / 4.0, b=top, w=fast),
         Phase(begin=ramp / 4.0, end=ramp, b=top, w=slow, p=pi / 2.0),
@@ -153,7 +153,7 @@ def modified_constant_velocity(share: float = 0.5) -> Law:
     if share > 0.0:
         phases.append(Phase(begin=ramp, end=0.5))
     return Law(
-        name="modified-constant-velocity", velocity=top * gained, acceleration=top,
+        name="modified-constant-velocity", velocity=top * velocity_gain, acceleration=top,
         jerk=top * fast, form=Phases(chained(phases)),
     )  # fmt: skip
 
@@ -201,13 +201,15 @@ def jerk_limited(*shares: float) -> Law:
     ValueError
         If there are not seven shares, or the first, third, fifth or seventh is not positive.
     """
-    given = shares or (1.0,) * 7
-    if len(given) != 7 or not all(0.0 <= share < 1e9 for share in given):
-        raise ValueError(f"seven shares of the time from 0 on are wanted, got {list(given)}")
-    if min(given[::2][:2]) <= 0.0 or min(given[4], given[6]) <= 0.0:
-        raise ValueError(f"the four ramps of the acceleration need some time, got {list(given)}")
-    total = sum(given)
-    up, level, down, cruise, last_down, last_level, last_up = (s / total for s in given)
+    given_shares = shares or (1.0,) * 7
+    if len(given_shares) != 7 or not all(0.0 <= share < 1e9 for share in given_shares):
+        raise ValueError(f"seven shares of the time from 0 on are wanted, got {list(given_shares)}")
+    if min(given_shares[::2][:2]) <= 0.0 or min(given_shares[4], given_shares[6]) <= 0.0:
+        raise ValueError(
+            f"the four ramps of the acceleration need some time, got {list(given_shares)}"
+        )
+    total = sum(given_shares)
+    up, level, down, cruise, last_down, last_level, last_up = (s / total for s in given_shares)
     # Phases and rises for a cruise at unit velocity; the phases of the fall run backwards.
     first, first_rise = _ramp(up, level, down)
     last, last_rise = _ramp(last_up, last_level, last_down)

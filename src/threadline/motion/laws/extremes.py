@@ -42,29 +42,33 @@ def extremes(law: Rise, derivative: int) -> tuple[float, float, float, float]:
     extremes are sought at the ends of the stretches and at the roots of the interpolants' slopes.
     """
     edges, fitted = _fitted(law, derivative)
-    seen = chebyshev.chebval(np.linspace(-1.0, 1.0, _LOOKS), fitted)
+    samples = chebyshev.chebval(np.linspace(-1.0, 1.0, _LOOKS), fitted)
     # Between samples the law may exceed them by a small share of the stretch's range.
-    span = _MISSED * np.ptp(seen, axis=1)
-    found = []
+    overshoot = _MISSED * np.ptp(samples, axis=1)
+    peaks_of_signs = []
     for sign in (-1.0, 1.0):
-        peaks = (sign * seen).max(axis=1)
+        peaks = (sign * samples).max(axis=1)
         best = (-np.inf, 0.0)
-        for k in np.flatnonzero(peaks + span >= peaks.max()).tolist():
-            tried = _stationary(fitted[:, k])
-            values = sign * chebyshev.chebval(tried, fitted[:, k])
-            top = int(np.argmax(values))
-            middle, half = 0.5 * (edges[k] + edges[k + 1]), 0.5 * (edges[k + 1] - edges[k])
-            best = max(best, (float(values[top]), float(middle + half * tried[top])))
-        found.append((sign * best[0], best[1]))
-    return *found[0], *found[1]
+        for k in np.flatnonzero(peaks + overshoot >= peaks.max()).tolist():
+            candidates = _stationary(fitted[:, k])
+            values = sign * chebyshev.chebval(candidates, fitted[:, k])
+            top_index = int(np.argmax(values))
+            middle, half_width = 0.5 * (edges[k] + edges[k + 1]), 0.5 * (edges[k + 1] - edges[k])
+            best = max(
+                best, (float(values[top_index]), float(middle + half_width * candidates[top_index]))
+            )
+        peaks_of_signs.append((sign * best[0], best[1]))
+    return *peaks_of_signs[0], *peaks_of_signs[1]
 
 
 def _fitted(law: Rise, derivative: int) -> tuple[FloatArray, FloatArray]:
     """Return the edges (n + 1,) and the Chebyshev coefficients (degree + 1, n) between them."""
     x = chebyshev.chebpts1(_DEGREE + 1)
     edges = law.edges
-    middle, half = 0.5 * (edges[1:] + edges[:-1]), 0.5 * np.diff(edges)
-    values = law((middle + np.outer(x, half)).ravel(), derivative).reshape(len(x), len(half))
+    middles, half_widths = 0.5 * (edges[1:] + edges[:-1]), 0.5 * np.diff(edges)
+    values = law((middles + np.outer(x, half_widths)).ravel(), derivative).reshape(
+        len(x), len(half_widths)
+    )
     return edges, np.asarray(chebyshev.chebfit(x, values, _DEGREE), dtype=np.float64)
 
 
@@ -83,9 +87,9 @@ def _stationary(coefficients: FloatArray) -> FloatArray:
 def steps(law: Rise) -> bool:
     """Return whether the acceleration jumps anywhere, including the ends of the motion."""
     _, fitted = _fitted(law, 2)
-    ends = chebyshev.chebval(np.array([-1.0, 1.0]), fitted)  # (stretches, 2)
+    end_values = chebyshev.chebval(np.array([-1.0, 1.0]), fitted)  # (stretches, 2)
     # Outside [0, 1] the law is at rest.
-    after, before = np.append(ends[:, 0], 0.0), np.append(0.0, ends[:, 1])
+    after, before = np.append(end_values[:, 0], 0.0), np.append(0.0, end_values[:, 1])
     peak = np.abs(chebyshev.chebval(np.linspace(-1.0, 1.0, _LOOKS), fitted)).max()
     return bool(np.abs(after - before).max() > _STEP * peak)
 

@@ -32,9 +32,9 @@ def differences(y: FloatArray, noise: float) -> FloatArray:
     the two values at either end stay.
     """
     fourth = y[:-4] - 4.0 * y[1:-3] + 6.0 * y[2:-2] - 4.0 * y[3:-1] + y[4:]
-    out = y.copy()
-    out[2:-2] -= np.clip(3.0 / 35.0 * fourth, -2.0 * noise, 2.0 * noise)
-    return out
+    corrected = y.copy()
+    corrected[2:-2] -= np.clip(3.0 / 35.0 * fourth, -2.0 * noise, 2.0 * noise)
+    return corrected
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -68,10 +68,10 @@ def one_pass(
     """Return (n,) or (n, columns) ``values`` at (n,) places ``x`` after a pass of ``rebound``."""
     from scipy.interpolate import CubicSpline
 
-    ends: Any = tuple((1, np.full(values.shape[1:], slope)) for slope in slopes)
-    between = np.concatenate((x[:1], 0.5 * (x[1:] + x[:-1]), x[-1:]))
-    there = CubicSpline(x, values, bc_type=ends)(between)
-    return np.asarray(CubicSpline(between, there, bc_type=ends)(x))
+    end_slopes: Any = tuple((1, np.full(values.shape[1:], slope)) for slope in slopes)
+    mid_points = np.concatenate((x[:1], 0.5 * (x[1:] + x[:-1]), x[-1:]))
+    mid_values = CubicSpline(x, values, bc_type=end_slopes)(mid_points)
+    return np.asarray(CubicSpline(mid_points, mid_values, bc_type=end_slopes)(x))
 
 
 def pass_matrix(x: FloatArray) -> FloatArray:
@@ -79,11 +79,11 @@ def pass_matrix(x: FloatArray) -> FloatArray:
 
     Only some columns are computed at a time, because a spline needs four times their memory.
     """
-    parts = (
-        one_pass(x, np.eye(len(x), min(_AT_A_TIME, len(x) - first), -first))
-        for first in range(0, len(x), _AT_A_TIME)
+    column_blocks = (
+        one_pass(x, np.eye(len(x), min(_AT_A_TIME, len(x) - first_column), -first_column))
+        for first_column in range(0, len(x), _AT_A_TIME)
     )
-    return np.concatenate(list(parts), axis=1)
+    return np.concatenate(list(column_blocks), axis=1)
 
 
 def rebound(
@@ -118,20 +118,31 @@ def rebound(
     """
     # A pass is linear in the values, so its matrix is computed once for the thousands of passes.
     matrix, offset = pass_matrix(x), one_pass(x, np.zeros_like(y), slopes)
-    values, last, moved, why = y, 0.0, 0.0, "passes"
-    done = 0
-    while done < most_passes:
-        back = matrix @ values + offset
-        change = float(np.abs(back - values).max())
-        farther = float(np.sqrt(np.mean((back - y) ** 2)))
-        if epsilon is None and farther > noise:
-            why = "noise"
+    values, last_change, last_rms_correction, stopped_by = y, 0.0, 0.0, "passes"
+    passes = 0
+    while passes < most_passes:
+        passed_values = matrix @ values + offset
+        largest_change = float(np.abs(passed_values - values).max())
+        rms_correction = float(np.sqrt(np.mean((passed_values - y) ** 2)))
+        if epsilon is None and rms_correction > noise:
+            stopped_by = "noise"
             break
-        values, last, moved, done = back, change, farther, done + 1
-        if epsilon is not None and change < epsilon:
-            why = "epsilon"
+        values, last_change, last_rms_correction, passes = (
+            passed_values,
+            largest_change,
+            rms_correction,
+            passes + 1,
+        )
+        if epsilon is not None and largest_change < epsilon:
+            stopped_by = "epsilon"
             break
-    return Rebound(values=values, passes=done, moved=moved, last=last, stopped_by=why)
+    return Rebound(
+        values=values,
+        passes=passes,
+        moved=last_rms_correction,
+        last=last_change,
+        stopped_by=stopped_by,
+    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -178,14 +189,21 @@ def _basis(
     """
     from scipy.interpolate import BSpline
 
-    inner = np.linspace(0.0, 1.0, intervals + 1)
-    knots = np.concatenate((np.zeros(_DEGREE), inner, np.ones(_DEGREE)))
+    inner_knots = np.linspace(0.0, 1.0, intervals + 1)
+    knots = np.concatenate((np.zeros(_DEGREE), inner_knots, np.ones(_DEGREE)))
     basis = BSpline(knots, np.eye(intervals + _DEGREE), _DEGREE)
     # The integral of the squared jerk is exact, because the jerk is linear between knots.
-    at = inner[:-1, None] + np.array([0.5 - sqrt(1 / 12), 0.5 + sqrt(1 / 12)]) / intervals
-    jerk = basis.derivative(2)(at.ravel()) / sqrt(2.0 * intervals)
-    looks = np.linspace(0.0, 1.0, 20 * intervals + 1)
-    return knots, basis.antiderivative(), jerk, [basis.derivative(d)(looks) for d in range(3)]
+    gauss_points = (
+        inner_knots[:-1, None] + np.array([0.5 - sqrt(1 / 12), 0.5 + sqrt(1 / 12)]) / intervals
+    )
+    jerk = basis.derivative(2)(gauss_points.ravel()) / sqrt(2.0 * intervals)
+    sample_times = np.linspace(0.0, 1.0, 20 * intervals + 1)
+    return (
+        knots,
+        basis.antiderivative(),
+        jerk,
+        [basis.derivative(d)(sample_times) for d in range(3)],
+    )
 
 
 class Smoother:
@@ -208,10 +226,10 @@ class Smoother:
     def __init__(
         self, t: FloatArray, noise: FloatArray, smooth_ends: tuple[bool, bool] = (True, True)
     ) -> None:
-        inside = int(((t > 0.0) & (t < 1.0)).sum())
-        intervals = int(np.clip(inside, *_INTERVALS))
+        rows_in_rise = int(((t > 0.0) & (t < 1.0)).sum())
+        intervals = int(np.clip(rows_in_rise, *_INTERVALS))
         self.t, self.noise = np.clip(t, 0.0, 1.0), noise
-        self.knots, basis, jerk, looks = _basis(intervals)
+        self.knots, basis, jerk, sample_bases = _basis(intervals)
         count = intervals + _DEGREE
         # The first and the last coefficient are the velocities at the ends. Together with their
         # neighbours they determine the accelerations at the ends.
@@ -223,7 +241,7 @@ class Smoother:
         # Divided by the noise, so that the weight is dimensionless.
         self.penalty = np.hstack((np.zeros((len(jerk), 1)), jerk)) / float(np.median(noise))
         self.total = (self.knots[_DEGREE + 1 :] - self.knots[:count])[self.free] / (_DEGREE + 1.0)
-        self.looks = [look[:, self.free] for look in looks]
+        self.looks = [sample_basis[:, self.free] for sample_basis in sample_bases]
 
     def solve(self, y: FloatArray, weight: float) -> FloatArray:
         """Return (k + 1,) the base and the k free coefficients that fit (n,) positions.
@@ -233,22 +251,24 @@ class Smoother:
         from scipy.optimize import nnls
 
         # nnls has no negative unknowns, so the base is counted from a value below all measurements.
-        low = float(y.min()) - float(np.ptp(y)) - 1.0
+        floor = float(y.min()) - float(np.ptp(y)) - 1.0
         matrix = np.vstack((self.rows, sqrt(weight) * self.penalty))
-        target = np.concatenate(((y - low) / self.noise, np.zeros(len(self.penalty))))
+        target = np.concatenate(((y - floor) / self.noise, np.zeros(len(self.penalty))))
         # Columns are scaled to similar size, because otherwise the solver finds only the base.
-        size = np.linalg.norm(matrix, axis=0)
-        found, _ = nnls(matrix / size, target)
-        found = found / size
-        found[0] += low
-        return np.asarray(found)
+        column_norms = np.linalg.norm(matrix, axis=0)
+        solution, _ = nnls(matrix / column_norms, target)
+        solution = solution / column_norms
+        solution[0] += floor
+        return np.asarray(solution)
 
     def freedom(self, weight: float) -> tuple[float, FloatArray]:
         """Return the effective number of parameters, bounds ignored, and (n,) leverages of rows."""
-        inner = self.rows.T @ self.rows + weight * self.penalty.T @ self.penalty
-        inner += 1e-12 * np.trace(inner) / len(inner) * np.eye(len(inner))
-        pulls = np.einsum("ij,ji->i", self.rows, np.linalg.solve(inner, self.rows.T))
-        return float(pulls.sum()), pulls
+        normal_matrix = self.rows.T @ self.rows + weight * self.penalty.T @ self.penalty
+        normal_matrix += (
+            1e-12 * np.trace(normal_matrix) / len(normal_matrix) * np.eye(len(normal_matrix))
+        )
+        leverages = np.einsum("ij,ji->i", self.rows, np.linalg.solve(normal_matrix, self.rows.T))
+        return float(leverages.sum()), leverages
 
     def weight_for(self, y: FloatArray) -> float:
         """Return the weight of the jerk with the least expected error at the given noise.
@@ -256,28 +276,28 @@ class Smoother:
         It minimises the sum of the squared residuals over the noise plus twice the effective number
         of parameters: Mallows, "Some comments on Cp", Technometrics 15 (1973).
         """
-        best, kept = np.inf, 1.0
+        least_error, best_weight = np.inf, 1.0
         for exponent in np.arange(_STIFFEST, _LOOSEST, -_STEP).tolist():
             weight = 10.0**exponent
-            missed = self.rows @ self.solve(y, weight) - y / self.noise
-            squares, freedom = float(missed @ missed), self.freedom(weight)[0]
-            if squares + 2.0 * freedom < best:
-                best, kept = squares + 2.0 * freedom, weight
-        return kept
+            residuals = self.rows @ self.solve(y, weight) - y / self.noise
+            squares, freedom = float(residuals @ residuals), self.freedom(weight)[0]
+            if squares + 2.0 * freedom < least_error:
+                least_error, best_weight = squares + 2.0 * freedom, weight
+        return best_weight
 
     def fit(self, y: FloatArray, weight: float) -> Smoothed:
         """Return the fit to (n,) positions of the follower with a given weight of the jerk."""
-        found = self.solve(y, weight)
-        freedom, pulls = self.freedom(weight)
+        solution = self.solve(y, weight)
+        freedom, leverages = self.freedom(weight)
         coefficients = np.zeros(self.count)
-        coefficients[self.free] = found[1:]
-        values = (self.rows @ found) * self.noise
+        coefficients[self.free] = solution[1:]
+        values = (self.rows @ solution) * self.noise
         squares = float((((y - values) / self.noise) ** 2).sum())
         return Smoothed(
-            knots=self.knots, coefficients=coefficients, base=float(found[0]),
-            rise=float(self.total @ found[1:]), values=values, freedom=freedom,
+            knots=self.knots, coefficients=coefficients, base=float(solution[0]),
+            rise=float(self.total @ solution[1:]), values=values, freedom=freedom,
             missed=sqrt(squares / max(len(y) - freedom, 1.0)),
-            scaled=(y - values) / self.noise / np.sqrt(np.maximum(1.0 - pulls, 0.05)),
+            scaled=(y - values) / self.noise / np.sqrt(np.maximum(1.0 - leverages, 0.05)),
         )  # fmt: skip
 
     def peaks(self, found: FloatArray) -> FloatArray:

@@ -38,22 +38,22 @@ class Form(Protocol):
 
 def less_sine(x: FloatArray) -> FloatArray:
     """Return ``x - sin x`` without cancellation near 0."""
-    found = np.asarray(x - np.sin(x))
-    near = x * x < 1.0
-    if near.any():
-        small = x[near]
-        square = small * small
+    difference = np.asarray(x - np.sin(x))
+    is_small = x * x < 1.0
+    if is_small.any():
+        small_x = x[is_small]
+        square = small_x * small_x
         series = np.ones_like(square)
         for factor in reversed(_SERIES):
             series = 1.0 - factor * square * series
-        found[near] = small * square / 6.0 * series
-    return found
+        difference[is_small] = small_x * square / 6.0 * series
+    return difference
 
 
 def less_cosine(x: FloatArray) -> FloatArray:
     """Return ``1 - cos x`` without cancellation near 0."""
-    half = np.sin(0.5 * x)
-    return np.asarray(2.0 * half * half)
+    half_sine = np.sin(0.5 * x)
+    return np.asarray(2.0 * half_sine * half_sine)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -94,7 +94,7 @@ class Phase:
 
 def chained(phases: list[Phase]) -> tuple[Phase, ...]:
     """Return the phases with ``v0`` and ``s0`` taken from the end of the previous phase."""
-    done: list[Phase] = []
+    chained_phases: list[Phase] = []
     v0 = s0 = 0.0
     for phase in phases:
         placed = Phase(
@@ -103,8 +103,8 @@ def chained(phases: list[Phase]) -> tuple[Phase, ...]:
         )  # fmt: skip
         length = np.array(phase.end - phase.begin)
         v0, s0 = float(placed.value(length, 1)), float(placed.value(length, 0))
-        done.append(placed)
-    return tuple(done)
+        chained_phases.append(placed)
+    return tuple(chained_phases)
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,11 +121,11 @@ class Phases:
     def value(self, t: FloatArray, derivative: int) -> FloatArray:
         """Return the ``derivative``-th derivative at ``t``; the last phase has no end."""
         begins = np.array([phase.begin for phase in self.phases])
-        which = np.clip(np.searchsorted(begins, t, side="right") - 1, 0, len(self.phases) - 1)
+        phase_index = np.clip(np.searchsorted(begins, t, side="right") - 1, 0, len(self.phases) - 1)
         out = np.zeros_like(t)
         for i, phase in enumerate(self.phases):
-            here = which == i
-            out[here] = phase.value(t[here] - phase.begin, derivative)
+            in_phase = phase_index == i
+            out[in_phase] = phase.value(t[in_phase] - phase.begin, derivative)
         return out
 
 
@@ -152,13 +152,13 @@ class Rest:
             for k in range(n, -1, -1):
                 total = total * u + comb(n + k, k)
             return np.asarray(t ** (n + 1) * total)
-        top, both = factorial(2 * n + 1) / factorial(n) ** 2, t * u
+        top, t_u = factorial(2 * n + 1) / factorial(n) ** 2, t * u
         if derivative == 1:
-            return np.asarray(top * both**n)
+            return np.asarray(top * t_u**n)
         if derivative == 2:
-            return np.asarray(top * n * both ** (n - 1) * (u - t))
-        bend = (n - 1) * (u - t) ** 2 - 2.0 * both
-        return np.asarray(top * n * both ** (n - 2) * bend)
+            return np.asarray(top * n * t_u ** (n - 1) * (u - t))
+        bend = (n - 1) * (u - t) ** 2 - 2.0 * t_u
+        return np.asarray(top * n * t_u ** (n - 2) * bend)
 
 
 @dataclass(frozen=True, slots=True)
@@ -213,14 +213,16 @@ class Pieces:
 
     def value(self, t: FloatArray, derivative: int) -> FloatArray:
         """Return the ``derivative``-th derivative at ``t``."""
-        which = np.clip(np.searchsorted(self.begins, t, side="right") - 1, 0, len(self.begins) - 1)
-        kept = self.powers[which]
+        piece = np.clip(np.searchsorted(self.begins, t, side="right") - 1, 0, len(self.begins) - 1)
+        derivative_powers = self.powers[piece]
         for _ in range(derivative):
-            kept = kept[..., 1:] * np.arange(1, kept.shape[-1])
-        since = t - self.begins[which]
+            derivative_powers = derivative_powers[..., 1:] * np.arange(
+                1, derivative_powers.shape[-1]
+            )
+        piece_time = t - self.begins[piece]
         out = np.zeros_like(t)
-        for column in range(kept.shape[-1] - 1, -1, -1):
-            out = out * since + kept[..., column]
+        for column in range(derivative_powers.shape[-1] - 1, -1, -1):
+            out = out * piece_time + derivative_powers[..., column]
         return out
 
 
@@ -249,35 +251,37 @@ def invert(form: Form, end: float, rise: FloatArray, *, latest: bool = False) ->
     table = np.maximum.accumulate(form.value(grid, 0))
     upper = np.searchsorted(table, rise, side="right" if latest else "left")
     upper = np.clip(upper, 1, len(grid) - 1)
-    low, high = grid[upper - 1], grid[upper]
-    below, above = table[upper - 1], table[upper]
-    span = np.where(above > below, above - below, 1.0)
-    share = np.clip((rise - below) / span, 0.0, 1.0)
+    low_t, high_t = grid[upper - 1], grid[upper]
+    low_rise, high_rise = table[upper - 1], table[upper]
+    cell_rise = np.where(high_rise > low_rise, high_rise - low_rise, 1.0)
+    share = np.clip((rise - low_rise) / cell_rise, 0.0, 1.0)
     # A rise from rest starts as a power of time; this gives the first guess in the first cell.
-    first = upper == 1
-    if first.any():
-        half = float(form.value(np.array([0.5 * grid[1]]), 0)[0])
-        power = np.log2(table[1] / half) if half > 0.0 and table[1] > half else 1.0
-        share[first] **= 1.0 / power
-    t: FloatArray = np.clip(low + share * (high - low), low, high)
+    in_first_cell = upper == 1
+    if in_first_cell.any():
+        half_rise = float(form.value(np.array([0.5 * grid[1]]), 0)[0])
+        power = np.log2(table[1] / half_rise) if half_rise > 0.0 and table[1] > half_rise else 1.0
+        share[in_first_cell] **= 1.0 / power
+    t: FloatArray = np.clip(low_t + share * (high_t - low_t), low_t, high_t)
     active = np.flatnonzero((share > 0.0) & (share < 1.0))
     for _ in range(_ROUNDS):
         if not len(active):
             break
-        at = t[active]
-        missed = form.value(at, 0) - rise[active]
-        slope = form.value(at, 1)
-        under = missed < 0.0 if not latest else missed <= 0.0
-        low[active[under]] = at[under]
-        high[active[~under]] = at[~under]
-        lowest, highest = low[active], high[active]
+        active_t = t[active]
+        residual = form.value(active_t, 0) - rise[active]
+        slope = form.value(active_t, 1)
+        is_below = residual < 0.0 if not latest else residual <= 0.0
+        low_t[active[is_below]] = active_t[is_below]
+        high_t[active[~is_below]] = active_t[~is_below]
+        lowest, highest = low_t[active], high_t[active]
         with np.errstate(divide="ignore", invalid="ignore"):
-            moved = at - missed / slope
-        inside = (moved >= lowest) & (moved <= highest) & (missed != 0.0)
-        moved = np.where(missed == 0.0, at, np.where(inside, moved, 0.5 * (lowest + highest)))
-        t[active] = moved
-        step = np.abs(moved - at)
-        done = (missed == 0.0) | (inside & (step <= _ENOUGH * moved))
+            next_t = active_t - residual / slope
+        inside = (next_t >= lowest) & (next_t <= highest) & (residual != 0.0)
+        next_t = np.where(
+            residual == 0.0, active_t, np.where(inside, next_t, 0.5 * (lowest + highest))
+        )
+        t[active] = next_t
+        step = np.abs(next_t - active_t)
+        done = (residual == 0.0) | (inside & (step <= _ENOUGH * next_t))
         done |= (highest - lowest) <= 1e-16 * highest
         active = active[~done]
     return t
@@ -331,16 +335,16 @@ class Law:
         """
         if not 0 <= derivative <= 3:
             raise ValueError(f"derivative must be 0 to 3, got {derivative}")
-        at = np.atleast_1d(np.asarray(t, dtype=np.float64))
-        late = at > self.meets
-        value = np.empty_like(at)
-        value[~late] = self.form.value(np.clip(at[~late], 0.0, self.meets), derivative)
-        seen = self.left(np.clip(1.0 - at[late], 0.0, 1.0 - self.meets), derivative)
+        times = np.atleast_1d(np.asarray(t, dtype=np.float64))
+        late = times > self.meets
+        value = np.empty_like(times)
+        value[~late] = self.form.value(np.clip(times[~late], 0.0, self.meets), derivative)
+        rest = self.left(np.clip(1.0 - times[late], 0.0, 1.0 - self.meets), derivative)
         if derivative == 0:
-            value[late] = 1.0 - seen
+            value[late] = 1.0 - rest
             return value
-        value[late] = seen if derivative % 2 else -seen
-        value[(at < 0.0) | (at > 1.0)] = 0.0
+        value[late] = rest if derivative % 2 else -rest
+        value[(times < 0.0) | (times > 1.0)] = 0.0
         return value
 
     def left(self, before_end: FloatArray, derivative: int = 0) -> FloatArray:
@@ -367,25 +371,25 @@ class Law:
         refuse_descent(self)
         x = np.atleast_1d(np.asarray(rise, dtype=np.float64))
         if not bool(np.all((x >= 0.0) & (x <= 1.0))):
-            worst = x[~((x >= 0.0) & (x <= 1.0))][0]
-            raise ValueError(f"law {self.name}: a rise must be in [0, 1], got {worst}")
-        early = x <= float(self.form.value(np.array([self.meets]), 0)[0])
-        out = np.empty_like(x)
-        out[early] = invert(self.form, self.meets, x[early])
+            first_outside = x[~((x >= 0.0) & (x <= 1.0))][0]
+            raise ValueError(f"law {self.name}: a rise must be in [0, 1], got {first_outside}")
+        is_early = x <= float(self.form.value(np.array([self.meets]), 0)[0])
+        times = np.empty_like(x)
+        times[is_early] = invert(self.form, self.meets, x[is_early])
         closing = self.form if self.closing is None else self.closing
         # From 1/2 on, 1 - x is exact, so that the equation is solved for the rest of the rise
         # there.
-        out[~early] = 1.0 - invert(closing, 1.0 - self.meets, 1.0 - x[~early], latest=True)
-        return out
+        times[~is_early] = 1.0 - invert(closing, 1.0 - self.meets, 1.0 - x[~is_early], latest=True)
+        return times
 
     @property
     def edges(self) -> FloatArray:
         """(n,) ends of the stretches on which the law is smooth, from 0 to 1."""
         closing = self.form if self.closing is None else self.closing
-        first = [b for b in self.form.breaks if 0.0 < b < self.meets]
-        last = [1.0 - b for b in closing.breaks if 0.0 < b < 1.0 - self.meets]
+        opening_breaks = [b for b in self.form.breaks if 0.0 < b < self.meets]
+        closing_breaks = [1.0 - b for b in closing.breaks if 0.0 < b < 1.0 - self.meets]
         ends = [0.0]
-        for end in sorted((self.meets, *first, *last)):
+        for end in sorted((self.meets, *opening_breaks, *closing_breaks)):
             if min(end - ends[-1], 1.0 - end) > _SAME:
                 ends.append(end)
         return np.array([*ends, 1.0])
@@ -406,17 +410,17 @@ def measured_law(name: str, form: Form, closing: Form | None = None, meets: floa
 
     The arguments are as in ``Law``. The jerk of the law is None if the acceleration jumps.
     """
-    bare = Law(
+    unmeasured = Law(
         name=name, velocity=0.0, acceleration=0.0, jerk=None, form=form, closing=closing,
         meets=meets,
     )  # fmt: skip
     peaks = []
     for derivative in (1, 2, 3):
-        low, _, high, _ = extremes(bare, derivative)
+        low, _, high, _ = extremes(unmeasured, derivative)
         peaks.append(max(-low, high))
     return Law(
         name=name, velocity=peaks[0], acceleration=peaks[1],
-        jerk=None if steps(bare) else peaks[2], form=form, closing=closing, meets=meets,
+        jerk=None if steps(unmeasured) else peaks[2], form=form, closing=closing, meets=meets,
     )  # fmt: skip
 
 

@@ -33,13 +33,13 @@ def law_of_velocity(name: str, knots: FloatArray, coefficients: FloatArray, degr
     from scipy.interpolate import BSpline, PPoly
 
     forms = []
-    for x, kept in ((knots, coefficients), (1.0 - knots[::-1], coefficients[::-1])):
-        rise = BSpline(x, kept, degree).antiderivative()
+    for x, weights in ((knots, coefficients), (1.0 - knots[::-1], coefficients[::-1])):
+        rise = BSpline(x, weights, degree).antiderivative()
         pieces = PPoly.from_spline(rise.tck)
-        filled = np.flatnonzero(np.diff(pieces.x) > 0.0)
-        powers = pieces.c[::-1, filled].T / float(rise(1.0))
+        filled_pieces = np.flatnonzero(np.diff(pieces.x) > 0.0)
+        powers = pieces.c[::-1, filled_pieces].T / float(rise(1.0))
         powers[0, :2] = 0.0
-        forms.append(Pieces(pieces.x[filled], powers))
+        forms.append(Pieces(pieces.x[filled_pieces], powers))
     inner = np.unique(knots)[1:-1]
     middle = float(inner[int(np.argmin(np.abs(inner - 0.5)))]) if len(inner) else 0.5
     return measured_law(name, forms[0], forms[1], middle)
@@ -61,11 +61,11 @@ def write_law(law: Law, file: Path, rows: int = ROWS) -> None:
     OptionError, OSError
         If the file cannot be written.
     """
-    even = np.linspace(0.0, 1.0, rows)
+    even_times = np.linspace(0.0, 1.0, rows)
     # Rows closer than a thousandth of the spacing are dropped, because such short pieces are
     # rounding.
-    apart = np.abs(law.edges[:, None] - even).min(axis=1) > 1e-3 / rows
-    t = np.union1d(even, law.edges[apart])
+    is_apart = np.abs(law.edges[:, None] - even_times).min(axis=1) > 1e-3 / rows
+    t = np.union1d(even_times, law.edges[is_apart])
     columns = [t, *(law(t, derivative) for derivative in range(4))]
     lines = [",".join(repr(float(x)) for x in row) for row in zip(*columns, strict=True)]
     with staged_file(file) as out:
@@ -97,9 +97,9 @@ def _law_of(text: str, file: Path) -> Law:
     where = Place(str(file))
     table, lines = _read(text, file)
     t, s = table["t"], table["s"]
-    falls = np.flatnonzero(np.diff(t) <= 0.0)
-    if len(falls):
-        k = int(falls[0]) + 1
+    falling_rows = np.flatnonzero(np.diff(t) <= 0.0)
+    if len(falling_rows):
+        k = int(falling_rows[0]) + 1
         raise OptionError(
             f"motion law: time {t[k]:g} follows {t[k - 1]:g}, it must rise",
             place=Place(str(file), lines[k]),
@@ -146,17 +146,17 @@ def law_through(
 def _pieces(u: FloatArray, s: FloatArray, v: FloatArray, a: FloatArray) -> Pieces:
     """Return the quintic pieces with these values and derivatives at their ends."""
     h = np.diff(u)
-    gained = np.diff(s) - h * v[:-1] - 0.5 * h**2 * a[:-1]
-    speed = h * (np.diff(v) - h * a[:-1])
-    bend = h**2 * np.diff(a)
+    rise_rest = np.diff(s) - h * v[:-1] - 0.5 * h**2 * a[:-1]
+    velocity_rest = h * (np.diff(v) - h * a[:-1])
+    acceleration_rest = h**2 * np.diff(a)
     powers = np.stack(
         [
             s[:-1],
             v[:-1],
             0.5 * a[:-1],
-            (10.0 * gained - 4.0 * speed + 0.5 * bend) / h**3,
-            (-15.0 * gained + 7.0 * speed - bend) / h**4,
-            (6.0 * gained - 3.0 * speed + 0.5 * bend) / h**5,
+            (10.0 * rise_rest - 4.0 * velocity_rest + 0.5 * acceleration_rest) / h**3,
+            (-15.0 * rise_rest + 7.0 * velocity_rest - acceleration_rest) / h**4,
+            (6.0 * rise_rest - 3.0 * velocity_rest + 0.5 * acceleration_rest) / h**5,
         ],
         axis=1,
     )

@@ -78,12 +78,12 @@ def noise_of(x: FloatArray, y: FloatArray) -> float:
     scaled = []
     if count > 0:
         spans = x[_ORDER:] - x[:-_ORDER]
-        usual = float(np.median(np.diff(x))) * _ORDER * _NEAR
-        for k in np.flatnonzero(spans <= usual).tolist():
-            at = x[k : k + _ORDER + 1]
-            apart = at[:, None] - at[None, :]
-            np.fill_diagonal(apart, 1.0)
-            weights = 1.0 / apart.prod(axis=1)
+        longest_span = float(np.median(np.diff(x))) * _ORDER * _NEAR
+        for k in np.flatnonzero(spans <= longest_span).tolist():
+            places = x[k : k + _ORDER + 1]
+            distances = places[:, None] - places[None, :]
+            np.fill_diagonal(distances, 1.0)
+            weights = 1.0 / distances.prod(axis=1)
             scaled.append(weights @ y[k : k + _ORDER + 1] / np.linalg.norm(weights))
     if len(scaled) < _FEWEST:
         raise OptionError(
@@ -91,9 +91,11 @@ def noise_of(x: FloatArray, y: FloatArray) -> float:
             f"enough together and {_FEWEST} are needed",
             remedy='Give the measuring error: --noise "0.05 mm".',
         )
-    found = np.abs(np.array(scaled))
-    robust = 1.4826 * float(np.median(found))
-    kept = found[found <= _OUTLYING * robust] if robust > 0.0 else found
+    magnitudes = np.abs(np.array(scaled))
+    robust_spread = 1.4826 * float(np.median(magnitudes))
+    kept = (
+        magnitudes[magnitudes <= _OUTLYING * robust_spread] if robust_spread > 0.0 else magnitudes
+    )
     return float(np.sqrt(np.mean(kept**2)))
 
 
@@ -110,11 +112,11 @@ def refuse_no_rise(cam: MeasuredCam, noise_m: float) -> None:
     """
     h = cam.h_m
     if len(h) > _FEW:
-        triples = np.sort(np.stack((h[:-2], h[1:-1], h[2:])), axis=0)[1]
-        h = np.concatenate((triples[:1], triples, triples[-1:]))
+        medians = np.sort(np.stack((h[:-2], h[1:-1], h[2:])), axis=0)[1]
+        h = np.concatenate((medians[:1], medians, medians[-1:]))
     highest = np.maximum.accumulate(h)
-    fallen = np.flatnonzero(highest - h > _FALL * noise_m)
-    if not len(fallen):
+    fallen_rows = np.flatnonzero(highest - h > _FALL * noise_m)
+    if not len(fallen_rows):
         rise_m = cam.h_m[-1] - cam.h_m[0]
         if not rise_m > _RISE * noise_m:
             raise OptionError(
@@ -124,16 +126,19 @@ def refuse_no_rise(cam: MeasuredCam, noise_m: float) -> None:
                 remedy="Give the rows of one rise, in the direction in which the distance grows.",
             )
         return
-    low = int(fallen[0])
-    top = int(np.flatnonzero(h[:low] >= highest[low] - 0.5 * _FALL * noise_m)[-1])
-    near = cam.h_m[max(top - 1, 0) : low]  # no medians near the peak, which they would flatten
-    top = low - 1 - int(np.argmax(near[::-1] >= near.max() - 0.5 * _FALL * noise_m))
+    low_row = int(fallen_rows[0])
+    peak_row = int(np.flatnonzero(h[:low_row] >= highest[low_row] - 0.5 * _FALL * noise_m)[-1])
+    # No medians near the peak, which they would flatten.
+    unsmoothed = cam.h_m[max(peak_row - 1, 0) : low_row]
+    peak_row = (
+        low_row - 1 - int(np.argmax(unsmoothed[::-1] >= unsmoothed.max() - 0.5 * _FALL * noise_m))
+    )
     degrees = np.degrees(cam.alpha_rad)
     raise OptionError(
-        f"cam: the distance falls from {1e3 * cam.h_m[top]:.6g} mm at {degrees[top]:g} deg to "
-        f"{1e3 * cam.h_m[low]:.6g} mm at {degrees[low]:g} deg, which the noise of "
+        f"cam: the distance falls from {1e3 * cam.h_m[peak_row]:.6g} mm at {degrees[peak_row]:g} "
+        f"deg to {1e3 * cam.h_m[low_row]:.6g} mm at {degrees[low_row]:g} deg, which the noise of "
         f"{1e3 * noise_m:.3g} mm does not explain: a law that goes back has no inverse",
-        place=Place(cam.file, cam.lines[top + 1]),
+        place=Place(cam.file, cam.lines[peak_row + 1]),
         remedy="Give the rows of one rise alone, in the direction in which the distance grows, or "
         "the measuring error: --noise.",
     )
@@ -174,39 +179,39 @@ def rise_of(
     OptionError
         If a given angle leaves no rise, or the distances do not rise.
     """
-    first, early = _foot(alpha_rad, h_m, noise_m)
-    mirrored, late = _foot(-alpha_rad[::-1], -h_m[::-1], noise_m)
-    start = first if start_rad is None else start_rad
-    end = -mirrored if end_rad is None else end_rad
+    dwell_end, starts_in_dwell = _foot(alpha_rad, h_m, noise_m)
+    mirrored_dwell_end, ends_in_dwell = _foot(-alpha_rad[::-1], -h_m[::-1], noise_m)
+    start = dwell_end if start_rad is None else start_rad
+    end = -mirrored_dwell_end if end_rad is None else end_rad
     if not alpha_rad[0] - 1e-12 <= start < end <= alpha_rad[-1] + 1e-12:
         raise OptionError(
             f"cam: a rise from {np.degrees(start):g} to {np.degrees(end):g} deg is not within the "
             f"table, {np.degrees(alpha_rad[0]):g} to {np.degrees(alpha_rad[-1]):g} deg"
         )
-    free = (early and start_rad is None, late and end_rad is None)
+    free = (starts_in_dwell and start_rad is None, ends_in_dwell and end_rad is None)
     (start, end), within = _ends(alpha_rad, follower, follower_noise, (start, end), free)
     said = []
-    for which, given, at, around in (
+    for verb, given_rad, angle_rad, interval_rad in (
         ("starts", start_rad, start, within[0]),
         ("ends", end_rad, end, within[1]),
     ):
-        how = (
+        explanation = (
             "as given"
-            if given is not None
-            else f"{np.degrees(around[0]):.5g} to {np.degrees(around[1]):.5g} deg at "
+            if given_rad is not None
+            else f"{np.degrees(interval_rad[0]):.5g} to {np.degrees(interval_rad[1]):.5g} deg at "
             f"{100 * CONFIDENCE:g} %, from the shapes of rise that explain the rows"
-            if around is not None
+            if interval_rad is not None
             else "at the end of the table, where it still moves: no dwell of "
             f"{_DWELL} rows shows the true end"
-            if which == "ends"
+            if verb == "ends"
             else "at the beginning of the table, where it already moves: no dwell of "
             f"{_DWELL} rows shows the true start"
         )
-        said.append(f"the rise {which} at {np.degrees(at):.4g} deg, {how}")
+        said.append(f"the rise {verb} at {np.degrees(angle_rad):.4g} deg, {explanation}")
     return Rise(
-        start_rad=start, end_rad=end, start_found=early and start_rad is None,
-        end_found=late and end_rad is None, start_within_rad=within[0], end_within_rad=within[1],
-        said=tuple(said),
+        start_rad=start, end_rad=end, start_found=starts_in_dwell and start_rad is None,
+        end_found=ends_in_dwell and end_rad is None, start_within_rad=within[0],
+        end_within_rad=within[1], said=tuple(said),
     )  # fmt: skip
 
 
@@ -230,11 +235,11 @@ def _ends(
         return ends, (None, None)
     rows = np.arange(len(alpha))
     runs = np.array_split(rows, min(len(rows), _MOST_ROWS))
-    x, y = (np.array([each[run].mean() for run in runs]) for each in (alpha, follower))
+    x, y = (np.array([column[run].mean() for run in runs]) for column in (alpha, follower))
     deviation = np.array([noise[run].mean() / np.sqrt(len(run)) for run in runs])
-    which = np.flatnonzero(free)
+    free_ends = np.flatnonzero(free)
     for _ in range(_LOOKS):
-        fits = [_fitted(shape, x, y, deviation, ends, which) for shape in _shapes()]
+        fits = [_fitted(shape, x, y, deviation, ends, free_ends) for shape in _shapes()]
         rising = [fit for fit in fits if fit.rises]
         if not rising:
             raise OptionError(
@@ -242,33 +247,37 @@ def _ends(
                 remedy='Say where it is: --start "7.5 deg" --end "127.5 deg".',
             )
         nearest = min(rising, key=lambda fit: float(fit.rest @ fit.rest))
-        doubted = np.abs(nearest.rest)
-        usual = max(1.0, 1.4826 * float(np.median(doubted)))
-        outlying = (doubted > _OUTLYING * usual) & (deviation < _DOUBT * np.median(deviation))
+        residuals = np.abs(nearest.rest)
+        residual_scale = max(1.0, 1.4826 * float(np.median(residuals)))
+        outlying = (residuals > _OUTLYING * residual_scale) & (
+            deviation < _DOUBT * np.median(deviation)
+        )
         if not outlying.any() or outlying.sum() > len(x) // 10:
             break
         deviation = np.where(outlying, 10.0 * _DOUBT * deviation, deviation)
     # If no shape explains the rows within the noise, the noise must be larger than given.
     scale = max(1.0, float(nearest.rest @ nearest.rest) / max(len(x) - 4, 1))
-    likely = np.array([fit.likely - 0.5 * fit.squares / scale for fit in fits])
-    likely[[not fit.rises for fit in fits]] = -np.inf
-    weight = np.exp(likely - likely.max())
+    log_weight = np.array([fit.likely - 0.5 * fit.squares / scale for fit in fits])
+    log_weight[[not fit.rises for fit in fits]] = -np.inf
+    weight = np.exp(log_weight - log_weight.max())
     # The true rise may have another shape, even if a law by name explains it.
-    doubtful, named = weight / weight.sum(), len(LAWS)
-    free_share = doubtful[named:].sum()
+    interval_weight, named_count = weight / weight.sum(), len(LAWS)
+    free_share = interval_weight[named_count:].sum()
     if 0.0 < free_share < _FREE:
-        doubtful[:named] *= (1.0 - _FREE) / (1.0 - free_share)
-        doubtful[named:] *= _FREE / free_share
-    both = list(ends)
+        interval_weight[:named_count] *= (1.0 - _FREE) / (1.0 - free_share)
+        interval_weight[named_count:] *= _FREE / free_share
+    found_ends = list(ends)
     within: list[Within] = [None, None]
-    for k, end in enumerate(which.tolist()):
-        middle = np.array([fit.ends[end] for fit in fits])
-        spread = np.sqrt([scale * fit.covariance[k, k] for fit in fits])
-        (at,) = _quantiles(weight, middle, spread, [0.5])
-        around = _quantiles(doubtful, middle, spread, [_TAIL, 1.0 - _TAIL])
-        low, both[end], high = np.clip([around[0], at, around[1]], alpha[0], alpha[-1]).tolist()
+    for k, end in enumerate(free_ends.tolist()):
+        means = np.array([fit.ends[end] for fit in fits])
+        deviations = np.sqrt([scale * fit.covariance[k, k] for fit in fits])
+        (median,) = _quantiles(weight, means, deviations, [0.5])
+        bounds = _quantiles(interval_weight, means, deviations, [_TAIL, 1.0 - _TAIL])
+        low, found_ends[end], high = np.clip(
+            [bounds[0], median, bounds[1]], alpha[0], alpha[-1]
+        ).tolist()
         within[end] = (low, high)
-    return (both[0], both[1]), (within[0], within[1])
+    return (found_ends[0], found_ends[1]), (within[0], within[1])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -291,17 +300,20 @@ class _Shape:
 def _shapes() -> tuple[_Shape, ...]:
     """Return the shapes of rise that are fitted to a measured rise."""
     t = np.linspace(0.0, 1.0, 201)
-    made: list[Callable[[FloatArray], FloatArray]] = [
+    rises: list[Callable[[FloatArray], FloatArray]] = [
         *(partial(_named, each) for each in LAWS.values()),
-        *(partial(_polynomial, *of) for of in product(_POWERS, _POWERS, _DEGREES)),
+        *(
+            partial(_polynomial, *powers_and_degree)
+            for powers_and_degree in product(_POWERS, _POWERS, _DEGREES)
+        ),
     ]
     shapes = []
-    middle = 0.5 * (t[1:] + t[:-1])
-    for risen in made:
+    middles = 0.5 * (t[1:] + t[:-1])
+    for risen in rises:
         velocity = np.diff(risen(t), axis=0)
         share = velocity.sum(axis=1) / velocity.sum()
-        centre = float(share @ middle)
-        spread = float(np.sqrt(share @ (middle - centre) ** 2))
+        centre = float(share @ middles)
+        spread = float(np.sqrt(share @ (middles - centre) ** 2))
         shapes.append(_Shape(risen=risen, velocity=velocity, centre=centre, spread=spread))
     return tuple(shapes)
 
@@ -318,8 +330,8 @@ def _polynomial(p: int, q: int, degree: int, t: FloatArray) -> FloatArray:
     from scipy.special import beta, betainc, comb
 
     j = np.arange(degree + 1)
-    size = comb(degree, j) * beta(p + 1 + j, q + 1 + degree - j) / beta(p + 1, q + 1)
-    return np.asarray(size * betainc(p + 1 + j, q + 1 + degree - j, t[:, None]))
+    scale = comb(degree, j) * beta(p + 1 + j, q + 1 + degree - j) / beta(p + 1, q + 1)
+    return np.asarray(scale * betainc(p + 1 + j, q + 1 + degree - j, t[:, None]))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -352,10 +364,16 @@ def _fitted(
     low, high = float(np.median(y[:_DWELL])), float(np.median(y[-_DWELL:]))
     height, count = max(high - low, float(noise.min())), shape.velocity.shape[1]
     share = np.diff(np.clip((y - low) / height, 0.0, 1.0))
-    at = 0.5 * (x[1:] + x[:-1])
-    begin, last = ends
-    centre = float(np.clip(share @ at, 0.9 * begin + 0.1 * last, 0.1 * begin + 0.9 * last))
-    length = np.sqrt(max(float(share @ (at - centre) ** 2), (x[1] - x[0]) ** 2)) / shape.spread
+    middles = 0.5 * (x[1:] + x[:-1])
+    start_guess, end_guess = ends
+    centre = float(
+        np.clip(
+            share @ middles,
+            0.9 * start_guess + 0.1 * end_guess,
+            0.1 * start_guess + 0.9 * end_guess,
+        )
+    )
+    length = np.sqrt(max(float(share @ (middles - centre) ** 2), (x[1] - x[0]) ** 2)) / shape.spread
     target = np.concatenate((y / noise, np.ones(count)))
     coefficients = np.hstack((np.zeros((count, 1)), np.eye(count) / height))
 
@@ -378,24 +396,24 @@ def _fitted(
     lowest = np.array([min((x[0] - centre) / length, -0.02), 0.01])[which]
     highest = np.array([-0.01, max((x[-1] - centre) / length, 0.02)])[which]
     guess = np.array([-shape.centre, 1.0 - shape.centre])[which]
-    found = least_squares(
+    solution = least_squares(
         missed, np.clip(guess, 0.999 * lowest + 0.001 * highest, 0.001 * lowest + 0.999 * highest),
         bounds=(lowest, highest), x_scale=0.02, xtol=1e-3, ftol=1e-3, max_nfev=15,
         diff_step=np.full(len(which), 2e-3),
     )  # fmt: skip
-    q, r = np.linalg.qr(matrix(found.x))
-    solved = np.linalg.solve(r, q.T @ target)
-    slopes = np.asarray(found.jac)
+    q, r = np.linalg.qr(matrix(solution.x))
+    fitted_coefficients = np.linalg.solve(r, q.T @ target)
+    slopes = np.asarray(solution.jac)
     curvature = slopes.T @ slopes
     # The prior of an end is uniform over the table.
     curvature += 12.0 * (length / (x[-1] - x[0])) ** 2 * np.eye(len(which))
     covariance = length**2 * np.linalg.inv(curvature)
-    rest = missed(found.x)
-    velocity = shape.velocity @ solved[1:]
-    start, end = placed(found.x).tolist()
+    residuals = missed(solution.x)
+    velocity = shape.velocity @ fitted_coefficients[1:]
+    start, end = placed(solution.x).tolist()
     return _Fit(
-        ends=(start, end), covariance=covariance, rest=rest[: len(x)],
-        squares=float(rest @ rest),
+        ends=(start, end), covariance=covariance, rest=residuals[: len(x)],
+        squares=float(residuals @ residuals),
         likely=float(
             0.5 * np.linalg.slogdet(covariance)[1]
             - np.log(np.abs(np.diag(r))).sum() - count * np.log(height)
@@ -413,10 +431,10 @@ def _quantiles(
     kept = weight > 1e-6 * weight.max()
     weight, middle, spread = weight[kept] / weight[kept].sum(), middle[kept], spread[kept]
     # Every distribution adds its own samples, so that a narrow one among wide ones is seen.
-    steps = np.linspace(-6.0, 6.0, 241)
-    at = np.unique(middle[:, None] + spread[:, None] * steps)
-    below = ndtr((at[:, None] - middle) / spread) @ weight
-    return np.asarray(np.interp(shares, below, at))
+    standard_steps = np.linspace(-6.0, 6.0, 241)
+    places = np.unique(middle[:, None] + spread[:, None] * standard_steps)
+    distribution = ndtr((places[:, None] - middle) / spread) @ weight
+    return np.asarray(np.interp(shares, distribution, places))
 
 
 def _foot(x: FloatArray, y: FloatArray, noise: float) -> tuple[float, bool]:
@@ -424,14 +442,14 @@ def _foot(x: FloatArray, y: FloatArray, noise: float) -> tuple[float, bool]:
 
     If the rows begin without a dwell, return ``x`` of the first row, and False.
     """
-    count = 0
+    dwell_rows = 0
     for k in range(_DWELL, len(x) + 1):
-        level = float(y[:k].mean())
+        mean = float(y[:k].mean())
         slope = np.polynomial.polynomial.polyfit(x[:k] - x[:k].mean(), y[:k], 1)[1]
         drift = abs(float(slope)) * float(x[k - 1] - x[0])
-        if np.abs(y[:k] - level).max() > 3.5 * noise or drift > 3.5 * noise * np.sqrt(12.0 / k):
+        if np.abs(y[:k] - mean).max() > 3.5 * noise or drift > 3.5 * noise * np.sqrt(12.0 / k):
             break
-        count = k
-    if count < _DWELL:
+        dwell_rows = k
+    if dwell_rows < _DWELL:
         return float(x[0]), False
-    return float(x[count - 1]), True
+    return float(x[dwell_rows - 1]), True

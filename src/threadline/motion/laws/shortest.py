@@ -51,22 +51,22 @@ class ShortestMove:
             (self.cruise_s, 0.0, 0.0),
             (ramp, 0.0, -jerk), (self.push_s, -peak, 0.0), (ramp, -peak, jerk),
         ]  # fmt: skip
-        out = np.zeros_like(t)
-        begin, place, speed = 0.0, 0.0, 0.0
+        values = np.zeros_like(t)
+        begin, position, speed = 0.0, 0.0, 0.0
         for length, a, j in phases:
             inside = (t >= begin) & (t < begin + length)
             u = t[inside] - begin
-            out[inside] = (
-                place + u * (speed + u * (a / 2.0 + u * j / 6.0)),
+            values[inside] = (
+                position + u * (speed + u * (a / 2.0 + u * j / 6.0)),
                 speed + u * (a + u * j / 2.0),
                 a + u * j,
             )[order]
-            place += length * (speed + length * (a / 2.0 + length * j / 6.0))
+            position += length * (speed + length * (a / 2.0 + length * j / 6.0))
             speed += length * (a + length * j / 2.0)
             begin += length
         if order == 0:
-            out[t >= begin] = self.distance_si
-        return out
+            values[t >= begin] = self.distance_si
+        return values
 
 
 def shortest_move(
@@ -118,8 +118,8 @@ def shortest_move(
             ramp = (distance_si / (2.0 * jerk_si)) ** (1.0 / 3.0)
             peak, push = jerk_si * ramp, 0.0
         else:
-            half = 1.5 * ramp
-            push = sqrt((0.5 * ramp) ** 2 + distance_si / peak) - half
+            half_ramps = 1.5 * ramp
+            push = sqrt((0.5 * ramp) ** 2 + distance_si / peak) - half_ramps
         top = peak * (ramp + push)
         cruise = 0.0
     else:

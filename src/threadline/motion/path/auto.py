@@ -105,16 +105,16 @@ class _Run:
     def extend(self, chunk: Chunk) -> Iterator[PieceBlock]:
         """Add vertices, and yield the pieces that no later vertex can change."""
         self.vertices = join_vertices(self.vertices, *chunk.parts)
-        cut = EVEN_CUT if self.degree == CUBIC else CUT
+        cut_factor = EVEN_CUT if self.degree == CUBIC else CUT
         while True:
             length, turn = turns(self.vertices.positions, self.radius_m, self.local)
             # At a corner too tight for a curve within the tolerance the motion comes to rest.
             least_m = self.cut_m + self.vertices.more_m - self.vertices.beside_m.max()
-            tight = np.flatnonzero(least_m < cut * LEAST_SPACING_M * turn)
-            tight = tight[tight >= max(self.first_chord, 1)]
-            if not len(tight):
+            tight_corners = np.flatnonzero(least_m < cut_factor * LEAST_SPACING_M * turn)
+            tight_corners = tight_corners[tight_corners >= max(self.first_chord, 1)]
+            if not len(tight_corners):
                 break
-            yield from self._advance(int(tight[0]), length, turn, ends=True, dwell_s=0.0)
+            yield from self._advance(int(tight_corners[0]), length, turn, ends=True, dwell_s=0.0)
         count = len(self.vertices)
         if chunk.ends:
             yield from self._advance(count - 1, length, turn, ends=True, dwell_s=chunk.dwell_s)
@@ -138,17 +138,20 @@ class _Run:
             self.controls = _start_of(vertices)
         if stop > self.first_chord:
             chords = Chords(self.first_chord, stop, self.begins, ends)
-            fresh = control_polygon(vertices, length, turn, self.cut_m, chords, self.degree)
-            self.controls = join_controls(self.controls, fresh)
-            self.added += int(fresh.added.sum())
+            new_controls = control_polygon(vertices, length, turn, self.cut_m, chords, self.degree)
+            self.controls = join_controls(self.controls, new_controls)
+            self.added += int(new_controls.added.sum())
         yield from self._settle(ends, dwell_s)
         if ends:
             self.vertices, self.first_chord = vertices.take(slice(stop, None)), 0
             self.begins = True
         else:
-            kept = max(stop - self._ahead, 0)
-            self.begins = self.begins and kept == 0
-            self.vertices, self.first_chord = vertices.take(slice(kept, None)), stop - kept
+            first_kept = max(stop - self._ahead, 0)
+            self.begins = self.begins and first_kept == 0
+            self.vertices, self.first_chord = (
+                vertices.take(slice(first_kept, None)),
+                stop - first_kept,
+            )
 
     def _settle(self, ends: bool, dwell_s: float) -> Iterator[PieceBlock]:
         controls = self.controls

@@ -89,12 +89,12 @@ def bspline_coefficients(points: FloatArray) -> FloatArray:
 def _fill(points, out):  # type: ignore[no-untyped-def]
     for i in range(len(out)):
         for j in range(points.shape[1]):
-            before, here = points[i, j], points[i + 1, j]
-            there, beyond = points[i + 2, j], points[i + 3, j]
-            out[i, 0, j] = (before + 4.0 * here + there) / 6.0
-            out[i, 1, j] = (there - before) / 2.0
-            out[i, 2, j] = (before - 2.0 * here + there) / 2.0
-            out[i, 3, j] = (-before + 3.0 * here - 3.0 * there + beyond) / 6.0
+            p0, p1 = points[i, j], points[i + 1, j]
+            p2, p3 = points[i + 2, j], points[i + 3, j]
+            out[i, 0, j] = (p0 + 4.0 * p1 + p2) / 6.0
+            out[i, 1, j] = (p2 - p0) / 2.0
+            out[i, 2, j] = (p0 - 2.0 * p1 + p2) / 2.0
+            out[i, 3, j] = (-p0 + 3.0 * p1 - 3.0 * p2 + p3) / 6.0
 
 
 def vertices_as_points(
@@ -106,8 +106,8 @@ def vertices_as_points(
     yielded with the next block.
     """
     limit = velocity_limit_of(programmed, machine)
-    held: ControlPoints | None = None
-    way = np.zeros(len(programmed.axes))
+    held_back: ControlPoints | None = None
+    last_signs = np.zeros(len(programmed.axes))
     for block, start in with_previous(programmed):
         displacement = np.diff(block.positions, axis=0, prepend=start)
         points = ControlPoints(
@@ -121,37 +121,39 @@ def vertices_as_points(
             span=np.ones(len(block)),
         )
         # Sign of the latest movement of each axis before each displacement.
-        signs = np.vstack([way[None], np.sign(displacement)])
-        moved = np.where(signs != 0, np.arange(len(signs))[:, None], 0)
-        latest = np.take_along_axis(signs, np.maximum.accumulate(moved, axis=0), axis=0)
+        signs = np.vstack([last_signs[None], np.sign(displacement)])
+        moving_row = np.where(signs != 0, np.arange(len(signs))[:, None], 0)
+        latest_signs = np.take_along_axis(signs, np.maximum.accumulate(moving_row, axis=0), axis=0)
         # Axis by axis: numpy is slow along a short inner dimension.
-        turned = np.logical_or.reduce([*(signs[1:] * latest[:-1] < 0).T]).astype(np.float64)
-        way = latest[-1]
-        if held is not None:
-            points = join([held, points])
+        is_turning = np.logical_or.reduce([*(signs[1:] * latest_signs[:-1] < 0).T]).astype(
+            np.float64
+        )
+        last_signs = latest_signs[-1]
+        if held_back is not None:
+            points = join([held_back, points])
         else:
-            turned = turned[1:]  # nothing precedes the start
-        yield points.take(slice(0, -1)), turned
-        held = points.take(slice(-1, None))
-    if held is not None:
-        yield held, np.zeros(1)
+            is_turning = is_turning[1:]  # nothing precedes the start
+        yield points.take(slice(0, -1)), is_turning
+        held_back = points.take(slice(-1, None))
+    if held_back is not None:
+        yield held_back, np.zeros(1)
 
 
 def repeat(points: ControlPoints, times: IntArray) -> ControlPoints:
     """Return ``points`` with point i repeated ``times[i]`` times."""
     rows = np.repeat(np.arange(len(points)), times)
-    first = np.concatenate([[0], np.cumsum(times)[:-1]])
-    copy = np.arange(len(rows)) - first[rows]
-    out = points.take(rows)
+    first_rows = np.concatenate([[0], np.cumsum(times)[:-1]])
+    copy = np.arange(len(rows)) - first_rows[rows]
+    repeated = points.take(rows)
     return ControlPoints(
-        positions=out.positions,
-        chord_s=np.where(copy == 0, out.chord_s, 0.0),
-        operation=out.operation,
-        line=out.line,
-        rest=out.rest,
-        dwell_s=out.dwell_s,
+        positions=repeated.positions,
+        chord_s=np.where(copy == 0, repeated.chord_s, 0.0),
+        operation=repeated.operation,
+        line=repeated.line,
+        rest=repeated.rest,
+        dwell_s=repeated.dwell_s,
         copy=copy,
-        span=np.where(copy == 0, out.span, 1.0),
+        span=np.where(copy == 0, repeated.span, 1.0),
     )
 
 
@@ -178,14 +180,14 @@ class Window:
 def windows(programmed: ProgrammedPath, machine: Machine, refine: Refine) -> Iterator[Window]:
     """Yield the control points in windows whose pieces, in order, make up the whole path."""
     carried: ControlPoints | None = None
-    before: ControlPoints | None = None
-    turned, first = 0.0, 1
+    last_vertex: ControlPoints | None = None
+    last_turns, first = 0.0, 1
     for points, turning in vertices_as_points(programmed, machine):
         if not len(points):
             continue
-        fresh = refine(points, turning, before, turned)
-        before, turned = points.take(slice(-1, None)), float(turning[-1])
-        carried = fresh if carried is None else join([carried, fresh])
+        new_points = refine(points, turning, last_vertex, last_turns)
+        last_vertex, last_turns = points.take(slice(-1, None)), float(turning[-1])
+        carried = new_points if carried is None else join([carried, new_points])
         stop = len(carried) - 3
         if stop > first:
             yield Window(carried, first, stop)
@@ -202,14 +204,14 @@ def interval_time_s(programmed: ProgrammedPath, machine: Machine, refine: Refine
     these differences take at their feeds is an upper bound of the interval's time, for any kind of
     feed. The bound is exact if the three differences have one direction.
     """
-    longest = 0.0
+    longest_s = 0.0
     for window in windows(programmed, machine, refine):
         points, rows = window.points, slice(window.first, window.stop)
         span = points.span[1:]
         differences = bezier_differences(points.chord_s[1:, None], span)
         first, middle, last = (3.0 * t[rows, 0] / span[rows] for t in differences)
-        longest = max(longest, longest_demand_s(first, middle, last))
-    return longest
+        longest_s = max(longest_s, longest_demand_s(first, middle, last))
+    return longest_s
 
 
 def bezier_differences(
@@ -221,15 +223,15 @@ def bezier_differences(
     intervals between them. The Bezier points follow Boehm's construction; the differences on the
     first and the last span, which lack a neighbour, are invalid.
     """
-    before = np.concatenate([span[:1], span[:-1]])
-    after = np.concatenate([span[1:], span[-1:]])
-    whole = before + span + after
-    lead, trail = (before / whole)[:, None] * leg, (after / whole)[:, None] * leg
-    around = np.zeros((len(leg) + 1, leg.shape[1]))
-    around[:-1] += lead
-    around[1:] += trail
-    first = around[:-1] * (span / (before + span))[:, None]
-    last = around[1:] * (span / (span + after))[:, None]
+    span_before = np.concatenate([span[:1], span[:-1]])
+    span_after = np.concatenate([span[1:], span[-1:]])
+    span_sum = span_before + span + span_after
+    lead, trail = (span_before / span_sum)[:, None] * leg, (span_after / span_sum)[:, None] * leg
+    joint_differences = np.zeros((len(leg) + 1, leg.shape[1]))
+    joint_differences[:-1] += lead
+    joint_differences[1:] += trail
+    first = joint_differences[:-1] * (span / (span_before + span))[:, None]
+    last = joint_differences[1:] * (span / (span + span_after))[:, None]
     return first, leg - lead - trail, last
 
 
@@ -240,9 +242,9 @@ def _coefficients(window: Window) -> FloatArray:
         return bspline_coefficients(points.positions[window.first - 1 : window.stop + 2])
     leg, span = np.diff(points.positions, axis=0), points.span[1:]
     d0, d1, d2 = (part[rows] for part in bezier_differences(leg, span))
-    before = span[window.first - 1 : window.stop - 1]
-    whole = before + span[rows] + span[window.first + 1 : window.stop + 1]
-    start = points.positions[rows] + (before / whole)[:, None] * leg[rows] - d0
+    span_before = span[window.first - 1 : window.stop - 1]
+    span_sum = span_before + span[rows] + span[window.first + 1 : window.stop + 1]
+    start = points.positions[rows] + (span_before / span_sum)[:, None] * leg[rows] - d0
     return np.stack([start, 3.0 * d0, 3.0 * (d1 - d0), d0 - 2.0 * d1 + d2], axis=1)
 
 
@@ -256,19 +258,19 @@ def bspline_pieces(
         if not begun and points.dwell_s[0] > 0:
             yield _dwell_at_start(points)
         begun = True
-        here = slice(window.first + 1, window.stop + 1)
-        beyond = slice(window.first + 2, window.stop + 2)
+        end_points = slice(window.first + 1, window.stop + 1)
+        next_points = slice(window.first + 2, window.stop + 2)
         # The interval into point j + 1 belongs to the move into it; the one between the last two
         # of three copies leaves the vertex, and belongs to the next move.
-        leaves = points.copy[here] == MULTIPLICITY - 1
-        arrives = (points.rest[here] == 1) & (points.copy[here] == 1)
+        leaves = points.copy[end_points] == MULTIPLICITY - 1
+        arrives = (points.rest[end_points] == 1) & (points.copy[end_points] == 1)
         yield PieceBlock(
             coefficients=_coefficients(window),
-            operation=np.where(leaves, points.operation[beyond], points.operation[here]),
-            nominal_s=interval_s * points.span[here],
+            operation=np.where(leaves, points.operation[next_points], points.operation[end_points]),
+            nominal_s=interval_s * points.span[end_points],
             rest_after=arrives.astype(np.int64),
-            dwell_s=np.where(arrives, points.dwell_s[here], 0.0),
-            line=np.where(leaves, points.line[beyond], points.line[here]),
+            dwell_s=np.where(arrives, points.dwell_s[end_points], 0.0),
+            line=np.where(leaves, points.line[next_points], points.line[end_points]),
         )
 
 
@@ -310,25 +312,25 @@ def by_points(
     parts = [] if before is not None else [chain.take(slice(0, 1))]
     if len(chain) > 1:
         begin, end = chain.take(slice(0, -1)), chain.take(slice(1, None))
-        near = _on_chords(begin, end, NEARBY)
-        far = _on_chords(begin, end, 1.0 - NEARBY)
-        rows, wanted = [], []
+        near_points = _on_chords(begin, end, NEARBY)
+        far_points = _on_chords(begin, end, 1.0 - NEARBY)
+        rows, is_used = [], []
         for k in range(3):
             rows.append(3 * np.arange(len(end)) + k)
-            wanted.append((turns[:-1] == 1, turns[1:] == 1, np.ones(len(end), dtype=bool))[k])
+            is_used.append((turns[:-1] == 1, turns[1:] == 1, np.ones(len(end), dtype=bool))[k])
         order = np.argsort(np.concatenate(rows), kind="stable")
-        kept = order[np.concatenate(wanted)[order]]
-        fresh = join([near, far, end]).take(kept)
+        kept_rows = order[np.concatenate(is_used)[order]]
+        new_points = join([near_points, far_points, end]).take(kept_rows)
         # The time of a chord is divided among its points in proportion to their distances.
         share = np.concatenate(
             [np.full(len(end), NEARBY), np.full(len(end), 1.0 - NEARBY), np.ones(len(end))]
-        )[kept]
-        chord = np.concatenate([np.arange(len(end))] * 3)[kept]
-        opens = np.diff(chord, prepend=-1) > 0
-        passed = share - np.where(opens, 0.0, np.roll(share, 1))
-        parts.append(replace(fresh, chord_s=passed * end.chord_s[chord]))
-    out = join(parts)
-    return repeat(out, np.where(out.rest == 1, MULTIPLICITY, 1))
+        )[kept_rows]
+        chord = np.concatenate([np.arange(len(end))] * 3)[kept_rows]
+        opens_chord = np.diff(chord, prepend=-1) > 0
+        share_passed = share - np.where(opens_chord, 0.0, np.roll(share, 1))
+        parts.append(replace(new_points, chord_s=share_passed * end.chord_s[chord]))
+    all_points = join(parts)
+    return repeat(all_points, np.where(all_points.rest == 1, MULTIPLICITY, 1))
 
 
 def by_spacing(
@@ -341,8 +343,8 @@ def by_spacing(
     """
     del before
     leaves = np.concatenate([[turned], turning[:-1]]) == 1
-    short = (turning == 1) | leaves
-    spaced = replace(points, span=np.where(short, CLOSE_KNOTS, 1.0))
+    is_short = (turning == 1) | leaves
+    spaced = replace(points, span=np.where(is_short, CLOSE_KNOTS, 1.0))
     return repeat(spaced, np.where(points.rest == 1, MULTIPLICITY, 1))
 
 

@@ -36,23 +36,23 @@ def roughness(positions, radius_m, cut_m, start, stop):
     axes, legs = positions.shape[1], stop - start
     if legs <= APART:
         return SMOOTH
-    squared = 0.0
+    chord2_m2 = 0.0
     for j in range(axes):
-        squared += ((positions[stop, j] - positions[start, j]) * radius_m[j]) ** 2
-    if squared > (DENSE * cut_m * legs) ** 2:
+        chord2_m2 += ((positions[stop, j] - positions[start, j]) * radius_m[j]) ** 2
+    if chord2_m2 > (DENSE * cut_m * legs) ** 2:
         return SMOOTH  # legs are no shorter than the average of dense ones
     # Axis after axis, so that loop iterations are independent.
     sums = np.zeros((axes + 3, legs))  # one array: allocation takes as long as the work
-    t, size, turned, changed = sums[3:], sums[0], sums[1], sums[2]
+    t, size, turned, change2 = sums[3:], sums[0], sums[1], sums[2]
     for j in range(axes):
         for i in range(legs):
             t[j, i] = (positions[start + i + 1, j] - positions[start + i, j]) * radius_m[j]
             size[i] += t[j, i] * t[j, i]
     for i in range(legs):
         size[i] = np.sqrt(size[i])
-    length = 0.0
+    length_m = 0.0
     for i in range(legs):
-        length += size[i]
+        length_m += size[i]
     for i in range(legs):
         size[i] = 1.0 / size[i]
     for j in range(axes):
@@ -61,14 +61,14 @@ def roughness(positions, radius_m, cut_m, start, stop):
         for i in range(1, legs):
             turned[i] += (t[j, i] - t[j, i - 1]) ** 2
         for i in range(2, legs):
-            changed[i] += (t[j, i] - 2.0 * t[j, i - 1] + t[j, i - 2]) ** 2
+            change2[i] += (t[j, i] - 2.0 * t[j, i - 1] + t[j, i - 2]) ** 2
     uneven = 0
     for i in range(1, legs):
         turned[i] = np.sqrt(turned[i])
         turned[i] = turned[i] if turned[i] > STRAIGHT else 0.0
-        most = max(turned[i], turned[i - 1])
-        uneven += (most > 0.0) & (changed[i] > (LIKE * most) ** 2)
-    if 2 * uneven <= legs or length > DENSE * cut_m * legs:
+        larger_turn = max(turned[i], turned[i - 1])
+        uneven += (larger_turn > 0.0) & (change2[i] > (LIKE * larger_turn) ** 2)
+    if 2 * uneven <= legs or length_m > DENSE * cut_m * legs:
         return SMOOTH
     rough, total = 0, 0.0
     size[:] = 0.0
@@ -90,35 +90,35 @@ def legs_kept(positions, radius_m, cut_m):
     for that.
     """
     count, axes = positions.shape
-    least, square = 16.0 * cut_m * cut_m, 0.0
+    least_m2, previous_m2 = 16.0 * cut_m * cut_m, 0.0
     if axes == 3:  # the usual case; independent iterations take a fifth of the time
         r0, r1, r2 = radius_m[0], radius_m[1], radius_m[2]
-        longer = 0
+        long_legs = 0
         for i in range(1, count):
             x = (positions[i, 0] - positions[i - 1, 0]) * r0
             y = (positions[i, 1] - positions[i - 1, 1]) * r1
             z = (positions[i, 2] - positions[i - 1, 2]) * r2
-            longer += 4.0 * (x * x + y * y + z * z) > least
-        if longer == 0:
+            long_legs += 4.0 * (x * x + y * y + z * z) > least_m2
+        if long_legs == 0:
             return np.zeros(0, dtype=np.bool_)
     kept = np.zeros(count, dtype=np.bool_)
     a, b = np.zeros(axes), np.zeros(axes)
     for i in range(count - 1):
-        own = 0.0
+        leg_m2 = 0.0
         for j in range(axes):
             b[j] = (positions[i + 1, j] - positions[i, j]) * radius_m[j]
-            own += b[j] * b[j]
-        if i > 0 and 4.0 * max(own, square) > least:  # no turn exceeds 2
-            q = np.sqrt(own / square)
-            turned = 0.0  # square of the turn times the leg
+            leg_m2 += b[j] * b[j]
+        if i > 0 and 4.0 * max(leg_m2, previous_m2) > least_m2:  # no turn exceeds 2
+            q = np.sqrt(leg_m2 / previous_m2)
+            turn2_m2 = 0.0  # square of the turn times the leg
             for j in range(axes):
-                turned += (b[j] - q * a[j]) ** 2
-            kept[i] = turned > least
-            if turned > least * q * q:
+                turn2_m2 += (b[j] - q * a[j]) ** 2
+            kept[i] = turn2_m2 > least_m2
+            if turn2_m2 > least_m2 * q * q:
                 kept[i - 1] = True
         for j in range(axes):
             a[j] = b[j]
-        square = own
+        previous_m2 = leg_m2
     return kept
 
 
@@ -221,79 +221,89 @@ def chord(program, shares_m, rough, aside, before, legs, tool_chord):
     """
     positions, radius_m = program
     here, d, _ = tool_chord
-    first, before_m, guess = before
+    previous_level, previous_m, guess = before
     start, limit, corner, opens = legs
-    room = limit - start
-    if opens and room < (AHEAD if guess == 0 else 3 * guess):
-        return -1, False, 0.0, first, guess
-    begin, end, least = max(first - 1, 0), len(shares_m), LEAST
+    legs_left = limit - start
+    if opens and legs_left < (AHEAD if guess == 0 else 3 * guess):
+        return -1, False, 0.0, previous_level, guess
+    first_level, stop_level, least_legs = max(previous_level - 1, 0), len(shares_m), LEAST
     if rough != ROUGH:
-        begin, end, least = 0, 1, LEAST if aside else MANY
-    for level in range(begin, end):
-        thin_m = shares_m[level]
+        first_level, stop_level, least_legs = 0, 1, LEAST if aside else MANY
+    for level in range(first_level, stop_level):
+        permitted_m = shares_m[level]
         n = guess
         if n == 0:
-            n = _grown(program, tool_chord, start, room, thin_m)
-        trimmed, walked, tried = False, False, room + 1
+            n = _grown(program, tool_chord, start, legs_left, permitted_m)
+        trimmed, walked, tried_legs = False, False, legs_left + 1
         while True:  # with fewer legs each time
-            if corner and n < room < 2 * n and not walked and not trimmed:
+            if corner and n < legs_left < 2 * n and not walked and not trimmed:
                 # Two chords of similar length, and no short one at the end.
-                n = room if 4 * room <= 5 * n and room < tried else (room + 1) // 2
-            n = min(n, room)
-            tried = n
-            if n < (2 if trimmed or (n == room and aside) else least):
+                n = (
+                    legs_left
+                    if 4 * legs_left <= 5 * n and legs_left < tried_legs
+                    else (legs_left + 1) // 2
+                )
+            n = min(n, legs_left)
+            tried_legs = n
+            if n < (2 if trimmed or (n == legs_left and aside) else least_legs):
                 break
-            met = not walked and _write(program, tool_chord, start, n, room)
+            met = not walked and _write(program, tool_chord, start, n, legs_left)
             strayed = _strayed(positions, radius_m, here, d, start, start + n)
-            longer = np.sqrt(squared_of(d)) / (GROWS * before_m)
-            if strayed > thin_m:
-                more, rough_m = _more(program, tool_chord, start, n, strayed, thin_m)
-                if rough_m > thin_m and level < end - 1:
+            length_ratio = np.sqrt(squared_of(d)) / (GROWS * previous_m)
+            if strayed > permitted_m:
+                growth, scatter_m = _more(program, tool_chord, start, n, strayed, permitted_m)
+                if scatter_m > permitted_m and level < stop_level - 1:
                     n = 0  # no chord of useful length is within the tolerance
                     break
-                if not walked and strayed > _CORNER * thin_m:
-                    k = _walked(positions, radius_m, here, start, start + n, thin_m, d) - start
-                    about = min(k, room - k, _ABOUT)
-                    if LEAST <= k < n and _turn(positions, radius_m, start + k, about) > _SHARP:
+                if not walked and strayed > _CORNER * permitted_m:
+                    k = _walked(positions, radius_m, here, start, start + n, permitted_m, d) - start
+                    corner_legs = min(k, legs_left - k, _ABOUT)
+                    if (
+                        LEAST <= k < n
+                        and _turn(positions, radius_m, start + k, corner_legs) > _SHARP
+                    ):
                         n, walked = k, True
                         continue
                 # Beyond half of the distance to a corner, two chords follow.
-                n = min(max(int(n * min(more, _LESS)), n // 2), (room + 1) // 2 if n == room else n)
+                n = min(
+                    max(int(n * min(growth, _LESS)), n // 2),
+                    (legs_left + 1) // 2 if n == legs_left else n,
+                )
                 walked = False
-            elif longer > 1.0 and n > 2:
-                n, trimmed, walked = max(min(int(n / longer), n - 1), 2), True, False
+            elif length_ratio > 1.0 and n > 2:
+                n, trimmed, walked = max(min(int(n / length_ratio), n - 1), 2), True, False
             else:
                 break
-        if n < (2 if trimmed or (n == room and aside) else least):
+        if n < (2 if trimmed or (n == legs_left and aside) else least_legs):
             continue
         if rough != ROUGH and not aside and _turned(positions, radius_m, start, start + n) > BENDS:
             continue
-        more, _ = _more(program, tool_chord, start, n, strayed, thin_m)
-        more = min(max(more, 0.5), _GROWS_LEGS)
-        return start + n, met, strayed, level, max(min(int(n * more + 0.5), MOST), LEAST)
+        growth, _ = _more(program, tool_chord, start, n, strayed, permitted_m)
+        growth = min(max(growth, 0.5), _GROWS_LEGS)
+        return start + n, met, strayed, level, max(min(int(n * growth + 0.5), MOST), LEAST)
     towards(positions, radius_m, here, start + 1, d)
-    return start + 1, True, from_vertex(positions, radius_m, here, start), first, 0
+    return start + 1, True, from_vertex(positions, radius_m, here, start), previous_level, 0
 
 
 @njit()
-def _grown(program, tool_chord, start, room, thin_m):
+def _grown(program, tool_chord, start, legs_left, permitted_m):
     """Return how many legs a chord may have, by trying more and more of them."""
     positions, radius_m = program
     here, d, _ = tool_chord
-    n = min(_FIRST, room)
-    while n < min(room, MOST):
-        _write(program, tool_chord, start, n, room)
+    n = min(_FIRST, legs_left)
+    while n < min(legs_left, MOST):
+        _write(program, tool_chord, start, n, legs_left)
         strayed = _strayed(positions, radius_m, here, d, start, start + n)
-        more, _ = _more(program, tool_chord, start, n, strayed, thin_m)
-        more = min(more, _FIRST_GROWS)
-        if more < 1.2:
+        growth, _ = _more(program, tool_chord, start, n, strayed, permitted_m)
+        growth = min(growth, _FIRST_GROWS)
+        if growth < 1.2:
             break
-        n = min(int(n * more), room, MOST)
+        n = min(int(n * growth), legs_left, MOST)
     return n
 
 
 @njit()
-def _more(program, tool_chord, start, n, strayed, thin_m):
+def _more(program, tool_chord, start, n, strayed, permitted_m):
     """Return the factor by which a chord may grow, and the deviation of vertices from the curve.
 
     The distance of its middle from the curve grows with the square of its length; the scatter of
@@ -301,105 +311,105 @@ def _more(program, tool_chord, start, n, strayed, thin_m):
     """
     positions, radius_m = program
     here, d, middle = tool_chord
-    half = n // 2
-    mean = min(max(n // _MEAN, 1), _MOST_MEAN, half, n - half)
-    along, far, square = 0.0, 0.0, 0.0
+    middle_leg = n // 2
+    mean_legs = min(max(n // _MEAN, 1), _MOST_MEAN, middle_leg, n - middle_leg)
+    projection, distance2_m2, chord2_m2 = 0.0, 0.0, 0.0
     for j in range(len(d)):
         middle[j] = 0.0
-    _add(positions[start + half - mean : start + half + mean + 1], middle)
+    _add(positions[start + middle_leg - mean_legs : start + middle_leg + mean_legs + 1], middle)
     for j in range(len(d)):
-        place = middle[j] * radius_m[j] / (2 * mean + 1) - here[j]
-        along += place * d[j]
-        far += place * place
-        square += d[j] * d[j]
-    bent = min(np.sqrt(max(far - along * along / square, 0.0)), strayed)
-    left = max(_AIM * thin_m - (strayed - bent), _BENT * thin_m)
-    return np.sqrt(left / max(bent, 1e-3 * thin_m)), strayed - bent
+        offset_m = middle[j] * radius_m[j] / (2 * mean_legs + 1) - here[j]
+        projection += offset_m * d[j]
+        distance2_m2 += offset_m * offset_m
+        chord2_m2 += d[j] * d[j]
+    curve_m = min(np.sqrt(max(distance2_m2 - projection * projection / chord2_m2, 0.0)), strayed)
+    left_m = max(_AIM * permitted_m - (strayed - curve_m), _BENT * permitted_m)
+    return np.sqrt(left_m / max(curve_m, 1e-3 * permitted_m)), strayed - curve_m
 
 
 @njit()
-def _write(program, tool_chord, start, n, room):
+def _write(program, tool_chord, start, n, legs_left):
     """Write the vector along a chord of ``n`` legs; return whether it ends in its last vertex."""
     positions, radius_m = program
     here, d, _ = tool_chord
-    k, axes = start + n, len(d)
-    mean = min(max(n // _MEAN, 1), _MOST_MEAN, room - n)
-    if mean == 0:
-        towards(positions, radius_m, here, k, d)
+    end_row, axes = start + n, len(d)
+    mean_legs = min(max(n // _MEAN, 1), _MOST_MEAN, legs_left - n)
+    if mean_legs == 0:
+        towards(positions, radius_m, here, end_row, d)
         return True
     for j in range(axes):
         d[j] = 0.0
-    _add(positions[k - mean : k + mean + 1], d)
-    per = 1.0 / (2 * mean + 1)
+    _add(positions[end_row - mean_legs : end_row + mean_legs + 1], d)
+    weight = 1.0 / (2 * mean_legs + 1)
     for j in range(axes):
-        d[j] = d[j] * per * radius_m[j] - here[j]
+        d[j] = d[j] * weight * radius_m[j] - here[j]
     return False
 
 
 @njit()
-def _add(own, total):
-    """Add the rows of (n, axes) ``own`` to (axes,) ``total``."""
+def _add(rows, total):
+    """Add the rows of (n, axes) ``rows`` to (axes,) ``total``."""
     if len(total) == 3:
         x, y, z = total[0], total[1], total[2]
-        for i in range(len(own)):
-            x += own[i, 0]
-            y += own[i, 1]
-            z += own[i, 2]
+        for i in range(len(rows)):
+            x += rows[i, 0]
+            y += rows[i, 1]
+            z += rows[i, 2]
         total[0], total[1], total[2] = x, y, z
         return
-    for i in range(len(own)):
+    for i in range(len(rows)):
         for j in range(len(total)):
-            total[j] += own[i, j]
+            total[j] += rows[i, j]
 
 
 @njit()
 def squared_of(d):
     """Return the squared length of a vector."""
-    squared = 0.0
+    length2 = 0.0
     for j in range(len(d)):
-        squared += d[j] * d[j]
-    return squared
+        length2 += d[j] * d[j]
+    return length2
 
 
 @njit()
 def from_vertex(positions, radius_m, here, k):
     """Return the distance of vertex ``k`` from a point."""
-    squared = 0.0
+    distance2 = 0.0
     for j in range(len(here)):
-        squared += (positions[k, j] * radius_m[j] - here[j]) ** 2
-    return np.sqrt(squared)
+        distance2 += (positions[k, j] * radius_m[j] - here[j]) ** 2
+    return np.sqrt(distance2)
 
 
 @njit()
 def _turned(positions, radius_m, start, stop):
     """Return the difference of the directions of the first and the last leg between vertices."""
     axes = positions.shape[1]
-    first, last, squared = 0.0, 0.0, 0.0
+    first, last, difference2 = 0.0, 0.0, 0.0
     for j in range(axes):
         first += ((positions[start + 1, j] - positions[start, j]) * radius_m[j]) ** 2
         last += ((positions[stop, j] - positions[stop - 1, j]) * radius_m[j]) ** 2
     first, last = np.sqrt(first), np.sqrt(last)
     for j in range(axes):
-        before = (positions[start + 1, j] - positions[start, j]) / first
-        after = (positions[stop, j] - positions[stop - 1, j]) / last
-        squared += ((after - before) * radius_m[j]) ** 2
-    return np.sqrt(squared)
+        direction_in = (positions[start + 1, j] - positions[start, j]) / first
+        direction_out = (positions[stop, j] - positions[stop - 1, j]) / last
+        difference2 += ((direction_out - direction_in) * radius_m[j]) ** 2
+    return np.sqrt(difference2)
 
 
 @njit()
 def _turn(positions, radius_m, k, legs):
     """Return the difference of the directions into and out of vertex ``k``, over some legs each."""
     axes = positions.shape[1]
-    to, on, squared = 0.0, 0.0, 0.0
+    to, on, difference2 = 0.0, 0.0, 0.0
     for j in range(axes):
         to += ((positions[k, j] - positions[k - legs, j]) * radius_m[j]) ** 2
         on += ((positions[k + legs, j] - positions[k, j]) * radius_m[j]) ** 2
     to, on = np.sqrt(to), np.sqrt(on)
     for j in range(axes):
-        before = (positions[k, j] - positions[k - legs, j]) / to
-        after = (positions[k + legs, j] - positions[k, j]) / on
-        squared += ((after - before) * radius_m[j]) ** 2
-    return np.sqrt(squared)
+        direction_in = (positions[k, j] - positions[k - legs, j]) / to
+        direction_out = (positions[k + legs, j] - positions[k, j]) / on
+        difference2 += ((direction_out - direction_in) * radius_m[j]) ** 2
+    return np.sqrt(difference2)
 
 
 @njit()
@@ -410,7 +420,7 @@ def towards(positions, radius_m, here, k, d):
 
 
 @njit()
-def _walked(positions, radius_m, here, start, limit, thin_m, d):
+def _walked(positions, radius_m, here, start, limit, permitted_m, d):
     """Return the last vertex up to ``limit`` that one chord can pass; write the vector along it.
 
     Notes
@@ -421,37 +431,38 @@ def _walked(positions, radius_m, here, start, limit, thin_m, d):
     """
     axes = positions.shape[1]
     w = np.empty(axes)
-    far, left, k = 0.0, np.inf, start
+    reached_m, radius, k = 0.0, np.inf, start
     d[:] = 0.0
     while k < limit:
-        squared, gap, move = 0.0, 0.0, 1.0
+        distance2_m2, gap, shift = 0.0, 0.0, 1.0
         for j in range(axes):
             w[j] = positions[k + 1, j] * radius_m[j] - here[j]
-            squared += w[j] * w[j]
-        reach = max(far, np.sqrt(squared))
-        if not reach > 0.0:
+            distance2_m2 += w[j] * w[j]
+        distance_m = max(reached_m, np.sqrt(distance2_m2))
+        if not distance_m > 0.0:
             break
-        own = thin_m / reach
+        new_radius = permitted_m / distance_m
         for j in range(axes):
-            w[j] = w[j] / reach - d[j]
+            w[j] = w[j] / distance_m - d[j]
             gap += w[j] * w[j]
-        if k > start and gap <= (left - own) * (left - own):  # one ball lies within the other
-            move, left = (1.0, own) if own < left else (0.0, left)
+        # If one ball lies within the other, the smaller one is kept.
+        if k > start and gap <= (radius - new_radius) * (radius - new_radius):
+            shift, radius = (1.0, new_radius) if new_radius < radius else (0.0, radius)
         elif k > start:
             gap = np.sqrt(gap)
-            both = 0.5 * (left + own - gap)
-            if not both > 0.0:
+            common_radius = 0.5 * (radius + new_radius - gap)
+            if not common_radius > 0.0:
                 break
-            move, left = 0.5 * (gap + left - own) / gap, both
+            shift, radius = 0.5 * (gap + radius - new_radius) / gap, common_radius
         else:
-            left = own
+            radius = new_radius
         for j in range(axes):
-            d[j] += move * w[j]
-        far = reach
+            d[j] += shift * w[j]
+        reached_m = distance_m
         k += 1
-    size = far / np.sqrt(squared_of(d))
+    scale = reached_m / np.sqrt(squared_of(d))
     for j in range(axes):
-        d[j] *= size
+        d[j] *= scale
     return k
 
 
@@ -462,40 +473,40 @@ def _strayed(positions, radius_m, here, d, start, stop):
     The first and the last vertex are matched to its ends, the others to the nearest point after the
     previous one. Fused multiply-add rounds once where the processor has it.
     """
-    axes, square = len(d), 0.0
+    axes, chord2_m2 = len(d), 0.0
     for j in range(axes):
-        square += d[j] * d[j]
-    if not square > 0.0:
+        chord2_m2 += d[j] * d[j]
+    if not chord2_m2 > 0.0:
         return np.inf
-    own, last = positions[start : stop + 1], stop - start
-    per, share, worst = 1.0 / square, 0.0, 0.0
+    rows, last_index = positions[start : stop + 1], stop - start
+    per_chord2, share, worst2_m2 = 1.0 / chord2_m2, 0.0, 0.0
     if axes == 3:  # the usual case: written out, it takes a fifth of the time
         r0, r1, r2 = radius_m[0], radius_m[1], radius_m[2]
         h0, h1, h2 = here[0], here[1], here[2]
         d0, d1, d2 = d[0], d[1], d[2]
-        for i in range(last + 1):
-            x, y, z = own[i, 0] * r0 - h0, own[i, 1] * r1 - h1, own[i, 2] * r2 - h2
-            along = (x * d0 + y * d1 + z * d2) * per
-            if i > 0 and along > share:
-                share = min(along, 1.0)
-            if i == last:
+        for i in range(last_index + 1):
+            x, y, z = rows[i, 0] * r0 - h0, rows[i, 1] * r1 - h1, rows[i, 2] * r2 - h2
+            nearest_share = (x * d0 + y * d1 + z * d2) * per_chord2
+            if i > 0 and nearest_share > share:
+                share = min(nearest_share, 1.0)
+            if i == last_index:
                 share = 1.0
             x, y, z = x - share * d0, y - share * d1, z - share * d2
-            squared = x * x + y * y + z * z
-            if squared > worst:  # noqa: PLR1730 - max() looks for NaN as well
-                worst = squared
-        return np.sqrt(worst)
-    for i in range(last + 1):
-        along = 0.0
+            distance2_m2 = x * x + y * y + z * z
+            if distance2_m2 > worst2_m2:  # noqa: PLR1730 - max() looks for NaN as well
+                worst2_m2 = distance2_m2
+        return np.sqrt(worst2_m2)
+    for i in range(last_index + 1):
+        nearest_share = 0.0
         for j in range(axes):
-            along += (own[i, j] * radius_m[j] - here[j]) * d[j]
-        share = min(max(share, along * per), 1.0)
+            nearest_share += (rows[i, j] * radius_m[j] - here[j]) * d[j]
+        share = min(max(share, nearest_share * per_chord2), 1.0)
         if i == 0:
             share = 0.0
-        elif i == last:
+        elif i == last_index:
             share = 1.0
-        squared = 0.0
+        distance2_m2 = 0.0
         for j in range(axes):
-            squared += (own[i, j] * radius_m[j] - here[j] - share * d[j]) ** 2
-        worst = max(worst, squared)
-    return np.sqrt(worst)
+            distance2_m2 += (rows[i, j] * radius_m[j] - here[j] - share * d[j]) ** 2
+        worst2_m2 = max(worst2_m2, distance2_m2)
+    return np.sqrt(worst2_m2)

@@ -31,37 +31,37 @@ def _at(c, u, out):
 @njit()
 def _to_chords(point, vertices, first, last, difference):
     """Return the squared distance to the chords between vertices ``first`` and ``last``."""
-    best = np.inf
+    least2 = np.inf
     axes = len(point)
     for v in range(first, max(last, first + 1)):
         w = min(v + 1, len(vertices) - 1)
-        dot = 0.0
-        square = 0.0
+        projection = 0.0
+        chord2 = 0.0
         for j in range(axes):
             d = vertices[w, j] - vertices[v, j]
-            dot += d * (point[j] - vertices[v, j])
-            square += d * d
-        t = min(max(dot / square, 0.0), 1.0) if square > 0.0 else 0.0
-        gap = 0.0
+            projection += d * (point[j] - vertices[v, j])
+            chord2 += d * d
+        t = min(max(projection / chord2, 0.0), 1.0) if chord2 > 0.0 else 0.0
+        distance2 = 0.0
         for j in range(axes):
             e = point[j] - vertices[v, j] - t * (vertices[w, j] - vertices[v, j])
-            gap += e * e
-        if gap < best:
-            best = gap
+            distance2 += e * e
+        if distance2 < least2:
+            least2 = distance2
             for j in range(axes):
                 difference[j] = point[j] - vertices[v, j] - t * (vertices[w, j] - vertices[v, j])
-    return best
+    return least2
 
 
 @njit()
 def _gap(c, u, target):
-    gap = 0.0
+    distance2 = 0.0
     for j in range(c.shape[1]):
         value = 0.0
         for k in range(c.shape[0] - 1, -1, -1):
             value = value * u + c[k, j]
-        gap += (value - target[j]) ** 2
-    return gap
+        distance2 += (value - target[j]) ** 2
+    return distance2
 
 
 @njit()
@@ -72,34 +72,34 @@ def _bracketed(c, target, low, high, u):
     bracket if such a step would leave it. The bracket shrinks towards smaller distances, so that a
     slope of 0 elsewhere (where a piece begins at rest) does not end the search.
     """
-    best, where = np.inf, u
+    least2, u_least = np.inf, u
     for _ in range(NEAREST):
-        gap, slope, bend = 0.0, 0.0, 0.0
+        distance2, slope, curvature = 0.0, 0.0, 0.0
         for j in range(c.shape[1]):
             value, first, second = 0.0, 0.0, 0.0
             for k in range(c.shape[0] - 1, -1, -1):
                 second = second * u + first
                 first = first * u + value
                 value = value * u + c[k, j]
-            apart = value - target[j]
-            gap += apart * apart
-            slope += apart * first
-            bend += first * first + 2.0 * apart * second
-        if gap < best:
-            best, where = gap, u
+            offset = value - target[j]
+            distance2 += offset * offset
+            slope += offset * first
+            curvature += first * first + 2.0 * offset * second
+        if distance2 < least2:
+            least2, u_least = distance2, u
         if slope > 0.0 or u >= high:
             high = u
         else:
             low = u
-        ahead = 0.5 * (low + high)
-        if bend > 0.0:
-            newton = u - slope / bend
+        next_u = 0.5 * (low + high)
+        if curvature > 0.0:
+            newton = u - slope / curvature
             if low < newton < high:
-                ahead = newton
-        if abs(ahead - u) < CLOSE:
+                next_u = newton
+        if abs(next_u - u) < CLOSE:
             break
-        u = ahead
-    return where, best
+        u = next_u
+    return u_least, least2
 
 
 @njit()
@@ -109,11 +109,11 @@ def nearest_on_piece(c, target, limit, gaps):
     If it is farther away than ``limit`` (a squared distance), only the nearest sample is returned.
     ``gaps`` is (SAMPLES + 1,) scratch space.
     """
-    best, where = np.inf, 0.0
+    least2, u_least = np.inf, 0.0
     for k in range(SAMPLES + 1):
         gaps[k] = _gap(c, k / SAMPLES, target)
-        if gaps[k] < best:
-            best, where = gaps[k], k / SAMPLES
+        if gaps[k] < least2:
+            least2, u_least = gaps[k], k / SAMPLES
     # A point between two samples is nearer than they are by at most the path length between them.
     way = 0.0
     for j in range(c.shape[1]):
@@ -126,13 +126,13 @@ def nearest_on_piece(c, target, limit, gaps):
         # Around every sample that is nearer than its neighbours there is a local minimum.
         if (k > 0 and gaps[k] > gaps[k - 1]) or (k < SAMPLES and gaps[k] > gaps[k + 1]):
             continue
-        if np.sqrt(gaps[k]) - way > np.sqrt(min(best, limit)):
+        if np.sqrt(gaps[k]) - way > np.sqrt(min(least2, limit)):
             continue
         low, high = max(k - 1, 0) / SAMPLES, min(k + 1, SAMPLES) / SAMPLES
-        u, gap = _bracketed(c, target, low, high, k / SAMPLES)
-        if gap < best:
-            best, where = gap, u
-    return where, best
+        u, distance2 = _bracketed(c, target, low, high, k / SAMPLES)
+        if distance2 < least2:
+            least2, u_least = distance2, u
+    return u_least, least2
 
 
 @njit()
@@ -163,11 +163,11 @@ def compare(c, vertex, vertices, window, best, offset):
     difference = np.empty(axes)
     gaps = np.empty(SAMPLES + 1)
     largest = np.zeros(axes)
-    worst, worst_piece, worst_u = -1.0, 0, 0.0
+    worst2, worst_piece, worst_u = -1.0, 0, 0.0
     for i in range(len(c)):
-        first = max(vertex[i] - window, 0)
-        last = min(vertex[i] + window, len(vertices) - 1)
-        top, at = -1.0, 0
+        first_vertex = max(vertex[i] - window, 0)
+        last_vertex = min(vertex[i] + window, len(vertices) - 1)
+        piece_worst2, worst_sample = -1.0, 0
         # The distance of a straight piece from a chord is largest at one of its ends.
         straight = True
         for k in range(2, c.shape[1]):
@@ -175,45 +175,45 @@ def compare(c, vertex, vertices, window, best, offset):
                 straight = straight and c[i, k, j] == 0.0
         for k in range(0, SAMPLES + 1, SAMPLES if straight else 1):
             _at(c[i], k / SAMPLES, point)
-            gap = _to_chords(point, vertices, first, last, difference)
+            distance2 = _to_chords(point, vertices, first_vertex, last_vertex, difference)
             for j in range(axes):
                 largest[j] = max(largest[j], abs(difference[j]))
-            if gap > top:
-                top, at = gap, k
-        if top > 0.8 * worst and not straight:
-            low, high = max(at - 1, 0) / SAMPLES, min(at + 1, SAMPLES) / SAMPLES
+            if distance2 > piece_worst2:
+                piece_worst2, worst_sample = distance2, k
+        if piece_worst2 > 0.8 * worst2 and not straight:
+            low, high = max(worst_sample - 1, 0) / SAMPLES, min(worst_sample + 1, SAMPLES) / SAMPLES
             for _ in range(REFINE):
                 a = high - _GOLDEN * (high - low)
                 b = low + _GOLDEN * (high - low)
                 _at(c[i], a, point)
-                here = _to_chords(point, vertices, first, last, difference)
+                distance2_a = _to_chords(point, vertices, first_vertex, last_vertex, difference)
                 _at(c[i], b, point)
-                if here > _to_chords(point, vertices, first, last, difference):
+                if distance2_a > _to_chords(point, vertices, first_vertex, last_vertex, difference):
                     high = b
                 else:
                     low = a
             u = 0.5 * (low + high)
             _at(c[i], u, point)
-            gap = _to_chords(point, vertices, first, last, difference)
+            distance2 = _to_chords(point, vertices, first_vertex, last_vertex, difference)
             for j in range(axes):
                 largest[j] = max(largest[j], abs(difference[j]))
-            if gap < top:
-                gap, u = top, at / SAMPLES
-            top = gap
+            if distance2 < piece_worst2:
+                distance2, u = piece_worst2, worst_sample / SAMPLES
+            piece_worst2 = distance2
         else:
-            u = at / SAMPLES
-        if top > worst:
-            worst, worst_piece, worst_u = top, i, u
+            u = worst_sample / SAMPLES
+        if piece_worst2 > worst2:
+            worst2, worst_piece, worst_u = piece_worst2, i, u
         for v in range(max(vertex[i] - 2, 0), min(vertex[i] + 2, len(vertices))):
             if best[v] == 0.0:
                 continue
-            u, gap = nearest_on_piece(c[i], vertices[v], best[v], gaps)
-            if gap < best[v]:
-                best[v] = gap
+            u, distance2 = nearest_on_piece(c[i], vertices[v], best[v], gaps)
+            if distance2 < best[v]:
+                best[v] = distance2
                 _at(c[i], u, point)
                 for j in range(axes):
                     offset[v, j] = point[j] - vertices[v, j]
-    return worst, worst_piece, worst_u, largest
+    return worst2, worst_piece, worst_u, largest
 
 
 WINDOW = 2  # number of moves, before its own and after, with which a piece is compared
@@ -314,9 +314,9 @@ class _Comparison:
             self._ended = True
             return
         scaled = block.positions * self._radius
-        before = w.positions[-1:] if len(w.positions) else np.full_like(scaled[:1], np.inf)
-        moved = np.abs(np.diff(scaled, axis=0, prepend=before)).max(axis=1) > 0
-        rows = np.flatnonzero(moved)
+        previous = w.positions[-1:] if len(w.positions) else np.full_like(scaled[:1], np.inf)
+        has_moved = np.abs(np.diff(scaled, axis=0, prepend=previous)).max(axis=1) > 0
+        rows = np.flatnonzero(has_moved)
         self._window = _Window(
             np.concatenate([w.positions, scaled[rows]]),
             np.concatenate([w.operation, block.operation[rows]]),
@@ -327,38 +327,40 @@ class _Comparison:
 
     def _take(self, coefficients: FloatArray, operation: IntArray) -> None:
         """Compare pieces with the vertices around each."""
-        last = int(operation[-1])
-        while not self._ended and int((self._window.operation > last).sum()) <= 2 * WINDOW:
+        last_operation = int(operation[-1])
+        while (
+            not self._ended and int((self._window.operation > last_operation).sum()) <= 2 * WINDOW
+        ):
             self._read()
         w = self._window
         # The vertex at the end of each piece's operation; the start shares operation 0.
         vertex = np.searchsorted(w.operation, operation, side="right") - 1
-        first = max(int(vertex[0]) - 4 * WINDOW, 0)
-        self._settle(first)
+        first_kept = max(int(vertex[0]) - 4 * WINDOW, 0)
+        self._settle(first_kept)
         w = self._window
-        strayed, at, u, difference = compare(
-            coefficients * self._radius, vertex - first, w.positions, WINDOW, w.best, w.offset
+        deviation2, worst_piece, u, difference = compare(
+            coefficients * self._radius, vertex - first_kept, w.positions, WINDOW, w.best, w.offset
         )
         self._per_axis = np.maximum(self._per_axis, difference)
-        if strayed > self._worst:
+        if deviation2 > self._worst:
             powers = u ** np.arange(coefficients.shape[1])
-            position = np.asarray(powers @ coefficients[at])
-            mine = int(vertex[at]) - first
-            self._worst = strayed
-            self._where = (False, int(w.line[mine]), int(operation[at]), position)
+            position = np.asarray(powers @ coefficients[worst_piece])
+            vertex_row = int(vertex[worst_piece]) - first_kept
+            self._worst = deviation2
+            self._where = (False, int(w.line[vertex_row]), int(operation[worst_piece]), position)
 
     def _settle(self, count: int) -> None:
         """Record the distances of the first ``count`` vertices, which no later piece can change."""
         w = self._window
-        reached = w.best[:count]
-        seen = np.flatnonzero(np.isfinite(reached))
-        if len(seen):
-            self._per_axis = np.maximum(self._per_axis, np.abs(w.offset[seen]).max(axis=0))
-            at = int(seen[np.argmax(reached[seen])])
-            if reached[at] > self._worst:
-                self._worst = float(reached[at])
-                position = np.asarray(w.positions[at] / self._radius)
-                self._where = (True, int(w.line[at]), int(w.operation[at]), position)
+        distances2 = w.best[:count]
+        reached_rows = np.flatnonzero(np.isfinite(distances2))
+        if len(reached_rows):
+            self._per_axis = np.maximum(self._per_axis, np.abs(w.offset[reached_rows]).max(axis=0))
+            farthest = int(reached_rows[np.argmax(distances2[reached_rows])])
+            if distances2[farthest] > self._worst:
+                self._worst = float(distances2[farthest])
+                position = np.asarray(w.positions[farthest] / self._radius)
+                self._where = (True, int(w.line[farthest]), int(w.operation[farthest]), position)
         self._window = _Window(
             w.positions[count:],
             w.operation[count:],

@@ -57,8 +57,8 @@ class Smoothing:
         """
         weights = np.convolve(np.full(self.count, 1.0 / self.count), [1 / 6, 4 / 6, 1 / 6])
         times = (np.arange(len(weights)) - (len(weights) - 1) / 2.0) * self.step_s
-        beyond = np.maximum(np.abs(times) - self.width_s / 2.0, 0.0)
-        return float(0.5 * (weights * beyond**2).sum())
+        beyond_s = np.maximum(np.abs(times) - self.width_s / 2.0, 0.0)
+        return float(0.5 * (weights * beyond_s**2).sum())
 
 
 def smoothing_for(machine: Machine, axes: tuple[str, ...]) -> Smoothing:
@@ -66,17 +66,17 @@ def smoothing_for(machine: Machine, axes: tuple[str, ...]) -> Smoothing:
 
     The step is a whole part or a whole multiple of the tick.
     """
-    column = [machine.axis_names.index(axis) for axis in axes]
-    width = float((2.0 * machine.acceleration_limit[column] / machine.jerk_limit[column]).max())
-    tick = float(machine.tick_clock.period_s)
-    if width == 0.0:
-        return Smoothing(tick / 2.0, 1)
-    wanted = width / STEPS_PER_WIDTH
-    if wanted >= tick:
-        step = tick * math.floor(wanted / tick * (1 + 1e-12))
+    columns = [machine.axis_names.index(axis) for axis in axes]
+    width_s = float((2.0 * machine.acceleration_limit[columns] / machine.jerk_limit[columns]).max())
+    tick_s = float(machine.tick_clock.period_s)
+    if width_s == 0.0:
+        return Smoothing(tick_s / 2.0, 1)
+    wanted_step_s = width_s / STEPS_PER_WIDTH
+    if wanted_step_s >= tick_s:
+        step_s = tick_s * math.floor(wanted_step_s / tick_s * (1 + 1e-12))
     else:
-        step = tick / min(math.ceil(tick / wanted * (1 - 1e-12)), LEAST_STEP)
-    return Smoothing(step, max(1, math.ceil(width / step * (1 - 1e-12))))
+        step_s = tick_s / min(math.ceil(tick_s / wanted_step_s * (1 - 1e-12)), LEAST_STEP)
+    return Smoothing(step_s, max(1, math.ceil(width_s / step_s * (1 - 1e-12))))
 
 
 def smoothing_share(
@@ -90,10 +90,12 @@ def smoothing_share(
     needs the share a s^2 / (2 tolerance), with the median of the axes for a. The result is the
     latter, at least 0.15 and at most 0.5.
     """
-    column = [machine.axis_names.index(axis) for axis in axes]
-    at_tool = float(np.median(machine.acceleration_limit[column] * machine.radius_m[column]))
-    wanted = at_tool * smoothing.variance_s2 / (2.0 * tolerance_m)
-    return min(max(wanted, LEAST_SHARE), MOST_SHARE)
+    columns = [machine.axis_names.index(axis) for axis in axes]
+    acceleration_m_s2 = float(
+        np.median(machine.acceleration_limit[columns] * machine.radius_m[columns])
+    )
+    needed_share = acceleration_m_s2 * smoothing.variance_s2 / (2.0 * tolerance_m)
+    return min(max(needed_share, LEAST_SHARE), MOST_SHARE)
 
 
 CUBIC_PEAK_VELOCITY = 1.5  # Cv of the law 3u^2 - 2u^3
@@ -158,11 +160,15 @@ def longest_demand_s(first: FloatArray, middle: FloatArray, last: FloatArray) ->
     bend = first - 2.0 * middle + last
     with np.errstate(divide="ignore", invalid="ignore"):
         u = np.where(bend < 0, np.clip((first - middle) / bend, 0.0, 1.0), 0.0)
-    longest = 0.0
-    for at in (np.zeros_like(u), u, np.ones_like(u)):
-        demand = (1 - at) ** 2 * first + 2.0 * at * (1 - at) * middle + at * at * last
-        longest = max(longest, float(demand.max(initial=0.0)))
-    return longest
+    longest_s = 0.0
+    for u_tested in (np.zeros_like(u), u, np.ones_like(u)):
+        demand_s = (
+            (1 - u_tested) ** 2 * first
+            + 2.0 * u_tested * (1 - u_tested) * middle
+            + u_tested * u_tested * last
+        )
+        longest_s = max(longest_s, float(demand_s.max(initial=0.0)))
+    return longest_s
 
 
 # Largest |p'|, |p''|, |p'''| over the four pairs of end velocities 0 and 1.
@@ -208,12 +214,12 @@ def polynomial_limits(
     its variance times the acceleration. The acceleration is limited so that this deviation, at the
     tool, is within the tolerance. The smoothing limits the jerk.
     """
-    column = [machine.axis_names.index(axis) for axis in axes]
+    columns = [machine.axis_names.index(axis) for axis in axes]
     velocity, acceleration, jerk = (
-        limit[column]
+        limit[columns]
         for limit in (machine.velocity_limit, machine.acceleration_limit, machine.jerk_limit)
     )
     if quintic:
         return velocity, acceleration, jerk
-    room = 2.0 * tolerance_m / (smoothing_for(machine, axes).variance_s2 * radius_m)
-    return velocity, np.minimum(acceleration, room)
+    smoothing_limit = 2.0 * tolerance_m / (smoothing_for(machine, axes).variance_s2 * radius_m)
+    return velocity, np.minimum(acceleration, smoothing_limit)

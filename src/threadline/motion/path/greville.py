@@ -95,12 +95,12 @@ def cut_of(length_m, turn, v):
     weight[3] = last * c2
     bound = 0.0
     for i in range(1, 6):
-        turned = turn[point_of(v - 3 + i, legs)]
-        if turned > 0.0:
+        vertex_turn = turn[point_of(v - 3 + i, legs)]
+        if vertex_turn > 0.0:
             for j in range(4):
                 mean = 0.25 * (x[j] + x[j + 1] + x[j + 2] + x[j + 3])
-                beyond = mean - x[i] if i >= 3 else x[i] - mean
-                bound += turned * weight[j] * max(beyond, 0.0)
+                distance = mean - x[i] if i >= 3 else x[i] - mean
+                bound += vertex_turn * weight[j] * max(distance, 0.0)
     return bound
 
 
@@ -151,25 +151,25 @@ def _one_is_enough(length_m, turn, v, after, spacing, cut_m):
     knot, or the leg is at the end of a run.
     """
     legs = len(length_m)
-    own, beyond = (v, v + 1) if after else (v - 1, v - 2)
-    if not 0 <= beyond < legs:
+    leg, next_leg = (v, v + 1) if after else (v - 1, v - 2)
+    if not 0 <= next_leg < legs:
         return False
     # The same quotients as there, so that both decide alike at a limit.
-    if length_m[beyond] / length_m[own] > _NEXT or 2.0 * (spacing / length_m[own]) < 1.0:
+    if length_m[next_leg] / length_m[leg] > _NEXT or 2.0 * (spacing / length_m[leg]) < 1.0:
         return False
     begin, end = max(v - 3, 0), min(v + 3, legs)
-    length, turned = np.empty(end - begin + 1), np.zeros(end - begin + 2)
+    lengths, leg_turns = np.empty(end - begin + 1), np.zeros(end - begin + 2)
     n = 0
     for c in range(begin, end):
-        turned[n] = turn[c]
-        length[n] = length_m[c]
-        if c == own:
-            length[n] *= 0.5
+        leg_turns[n] = turn[c]
+        lengths[n] = length_m[c]
+        if c == leg:
+            lengths[n] *= 0.5
             n += 1
-            length[n] = length[n - 1]
+            lengths[n] = lengths[n - 1]
         n += 1
-    turned[n] = turn[end]
-    return cut_of(length, turned, v - begin + (0 if after else 1)) <= cut_m
+    leg_turns[n] = turn[end]
+    return cut_of(lengths, leg_turns, v - begin + (0 if after else 1)) <= cut_m
 
 
 @njit()
@@ -186,31 +186,31 @@ def knots_between(near, far, opens, closes, beyond, share):
         Length of the next leg at a vertex without required spacing, as a share of this leg.
     """
     n = 0
-    both = near > 0.0 and far > 0.0
-    least, most = min(near, far) if both else max(near, far), max(near, far)
-    even = 0  # number of equal parts of the leg
-    if both and 2.0 * (near + far) >= 1.0 - TOUCH:
-        even = 2 if most <= _NEXT else 3
-        while even < 4 and even * least < 1.0 - TOUCH:
-            even += 1
-    elif not both and not opens and not closes and 3.0 * most >= 1.0:
-        even = 2 if 2.0 * most >= 1.0 and beyond <= _NEXT else 3
-    if even * least >= 1.0 - TOUCH:
-        for i in range(1, even):
-            share[n] = i / even
+    two_sided = near > 0.0 and far > 0.0
+    smaller, larger = min(near, far) if two_sided else max(near, far), max(near, far)
+    equal_parts = 0  # number of equal parts of the leg
+    if two_sided and 2.0 * (near + far) >= 1.0 - TOUCH:
+        equal_parts = 2 if larger <= _NEXT else 3
+        while equal_parts < 4 and equal_parts * smaller < 1.0 - TOUCH:
+            equal_parts += 1
+    elif not two_sided and not opens and not closes and 3.0 * larger >= 1.0:
+        equal_parts = 2 if 2.0 * larger >= 1.0 and beyond <= _NEXT else 3
+    if equal_parts * smaller >= 1.0 - TOUCH:
+        for i in range(1, equal_parts):
+            share[n] = i / equal_parts
             n += 1
-    elif both and even == 0:
+    elif two_sided and equal_parts == 0:
         share[0], share[1], share[2], share[3] = near, 2.0 * near, 1.0 - 2.0 * far, 1.0 - far
         n = 4
-    elif least > 0.0:
+    elif smaller > 0.0:
         for i in range(1, 3):
-            if i * least < 1.0 - TOUCH:
-                share[n] = i * least
+            if i * smaller < 1.0 - TOUCH:
+                share[n] = i * smaller
                 n += 1
-        if both and 1.0 - 2.0 * least > most:
-            share[n] = 0.5 + least  # midway between the last and the other vertex
+        if two_sided and 1.0 - 2.0 * smaller > larger:
+            share[n] = 0.5 + smaller  # midway between the last and the other vertex
             n += 1
-        if least != near:  # counted from the other end
+        if smaller != near:  # counted from the other end
             for i in range((n + 1) // 2):
                 share[i], share[n - 1 - i] = 1.0 - share[n - 1 - i], 1.0 - share[i]
     share[n] = 1.0
@@ -239,100 +239,101 @@ def quartic_spans(positions, turn, length_m, nominal_s, first, stop):
     The time at the feed is treated as one more axis.
     """
     legs, axes = len(positions) - 1, positions.shape[1]
-    out = np.empty((stop - first, 5, axes))
+    coefficients = np.empty((stop - first, 5, axes))
     pace = np.empty((stop - first, 4))
     straight = np.empty(stop - first, dtype=np.bool_)
-    h, way = np.empty(7), np.empty((7, axes + 1))
-    at, share = np.empty(5, dtype=np.int64), np.empty(5)
+    h, displacement = np.empty(7), np.empty((7, axes + 1))
+    leg_index, share = np.empty(5, dtype=np.int64), np.empty(5)
     bezier = np.empty((5, axes + 1))
-    kept = np.zeros((18, axes + 1))  # work arrays, allocated once
+    work = np.zeros((18, axes + 1))  # work arrays, allocated once
     for k in range(first, stop):
         m = k - first
         for i in range(7):
-            own = leg_of(k - 3 + i, legs)
-            h[i] = length_m[own + 1]
+            leg = leg_of(k - 3 + i, legs)
+            h[i] = length_m[leg + 1]
             for j in range(axes):
-                way[i, j] = positions[own + 1, j] - positions[own, j]
-            way[i, axes] = nominal_s[own + 1]
-        _means(h, at, share)
+                displacement[i, j] = positions[leg + 1, j] - positions[leg, j]
+            displacement[i, axes] = nominal_s[leg + 1]
+        _means(h, leg_index, share)
         straight[m] = True
-        for i in range(at[0] + 1, at[4] + 1):
+        for i in range(leg_index[0] + 1, leg_index[4] + 1):
             if turn[point_of(k - 3 + i, legs)] > 0.0:
                 straight[m] = False
         if straight[m]:
             for j in range(axes):
-                out[m, 0, j], out[m, 1, j] = positions[k, j], way[3, j]
-                out[m, 2, j], out[m, 3, j], out[m, 4, j] = 0.0, 0.0, 0.0
+                coefficients[m, 0, j], coefficients[m, 1, j] = positions[k, j], displacement[3, j]
+                coefficients[m, 2, j], coefficients[m, 3, j], coefficients[m, 4, j] = 0.0, 0.0, 0.0
             for i in range(4):
-                pace[m, i] = way[3, axes]
+                pace[m, i] = displacement[3, axes]
             continue
-        _blossom(h, way, at, share, bezier, kept)
+        _blossom(h, displacement, leg_index, share, bezier, work)
         for j in range(axes + 1):
             d0, d1 = bezier[1, j] - bezier[0, j], bezier[2, j] - bezier[1, j]
             d2, d3 = bezier[3, j] - bezier[2, j], bezier[4, j] - bezier[3, j]
             if j == axes:
                 pace[m, 0], pace[m, 1], pace[m, 2], pace[m, 3] = 4 * d0, 4 * d1, 4 * d2, 4 * d3
                 continue
-            out[m, 0, j] = positions[k, j] + bezier[0, j]
-            out[m, 1, j] = 4.0 * d0
-            out[m, 2, j] = 6.0 * (d1 - d0)
-            out[m, 3, j] = 4.0 * (d2 - 2.0 * d1 + d0)
-            out[m, 4, j] = d3 - 3.0 * d2 + 3.0 * d1 - d0
-    return out, pace, straight
+            coefficients[m, 0, j] = positions[k, j] + bezier[0, j]
+            coefficients[m, 1, j] = 4.0 * d0
+            coefficients[m, 2, j] = 6.0 * (d1 - d0)
+            coefficients[m, 3, j] = 4.0 * (d2 - 2.0 * d1 + d0)
+            coefficients[m, 4, j] = d3 - 3.0 * d2 + 3.0 * d1 - d0
+    return coefficients, pace, straight
 
 
 @njit()
-def _means(h, at, share):
+def _means(h, leg_index, share):
     """Write the leg, of seven legs ``h``, with the mean of four knots, and its share of that leg.
 
     The four knots begin with the first knot, the second, and so on to the fifth.
     """
     for i in range(5):
-        along = 0.25 * (3.0 * h[i] + 2.0 * h[i + 1] + h[i + 2])
-        at[i] = i
-        if along > h[i]:
-            along = 0.25 * (2.0 * h[i + 1] + h[i + 2] - h[i])
-            at[i] = i + 1
-            if along > h[i + 1]:
-                along = 0.25 * (h[i + 2] - h[i] - 2.0 * h[i + 1])
-                at[i] = i + 2
-        share[i] = along / h[at[i]]
+        mean = 0.25 * (3.0 * h[i] + 2.0 * h[i + 1] + h[i + 2])
+        leg_index[i] = i
+        if mean > h[i]:
+            mean = 0.25 * (2.0 * h[i + 1] + h[i + 2] - h[i])
+            leg_index[i] = i + 1
+            if mean > h[i + 1]:
+                mean = 0.25 * (h[i + 2] - h[i] - 2.0 * h[i + 1])
+                leg_index[i] = i + 2
+        share[i] = mean / h[leg_index[i]]
 
 
 @njit()
-def _blossom(h, way, at, share, bezier, work):
+def _blossom(h, displacement, leg_index, share, bezier, work):
     """Write the (5, columns) Bezier points of the piece on the fourth leg, from its start.
 
-    ``way`` (7, columns) is the displacement on each leg; control point i is at ``share[i]`` of leg
-    ``at[i]``. ``work`` is (18, columns); its fourth row is 0.
+    ``displacement`` is (7, columns), one row for each leg; control point i is at ``share[i]`` of
+    leg ``leg_index[i]``. ``work`` is (18, columns); its fourth row is 0.
     """
-    place, e, f = work[:8], work[8:13], work[13:18]  # knots; control points at both ends
-    columns = way.shape[1]
-    before, beyond = np.zeros(4), np.zeros(8)  # distances of knots from the ends of the piece
+    knots, e, f = work[:8], work[8:13], work[13:18]  # knots; control points at both ends
+    columns = displacement.shape[1]
+    # Distances of knots from the ends of the piece.
+    before_start, beyond_start = np.zeros(4), np.zeros(8)
     for i in range(3):
-        before[2 - i] = before[3 - i] + h[2 - i]
-        beyond[5 + i] = beyond[4 + i] + h[4 + i]
+        before_start[2 - i] = before_start[3 - i] + h[2 - i]
+        beyond_start[5 + i] = beyond_start[4 + i] + h[4 + i]
     for j in range(columns):
         for i in range(3):
-            place[2 - i, j] = place[3 - i, j] - way[2 - i, j]
+            knots[2 - i, j] = knots[3 - i, j] - displacement[2 - i, j]
         for i in range(3, 7):
-            place[i + 1, j] = place[i, j] + way[i, j]
+            knots[i + 1, j] = knots[i, j] + displacement[i, j]
         for i in range(5):
-            e[i, j] = place[at[i], j] + share[i] * way[at[i], j]
+            e[i, j] = knots[leg_index[i], j] + share[i] * displacement[leg_index[i], j]
     for level in range(5):  # e: number of arguments at the start of the piece
         for i in range(level, 5):
             for j in range(columns):
                 f[i, j] = e[i, j]
-        for deeper in range(level + 1, 5):  # f: number of arguments at its end
-            for i in range(4, deeper - 1, -1):
-                left, right = before[i - 1] + h[3], beyond[i + 4 - deeper]
+        for end_level in range(level + 1, 5):  # f: number of arguments at its end
+            for i in range(4, end_level - 1, -1):
+                left, right = before_start[i - 1] + h[3], beyond_start[i + 4 - end_level]
                 first, last = right / (left + right), left / (left + right)
                 for j in range(columns):
                     f[i, j] = first * f[i - 1, j] + last * f[i, j]
         for j in range(columns):
             bezier[4 - level, j] = f[4, j]
         for i in range(4, level, -1):
-            left, right = before[i - 1], h[3] + beyond[i + 3 - level]
+            left, right = before_start[i - 1], h[3] + beyond_start[i + 3 - level]
             first, last = right / (left + right), left / (left + right)
             for j in range(columns):
                 e[i, j] = first * e[i - 1, j] + last * e[i, j]

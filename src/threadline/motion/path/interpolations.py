@@ -161,12 +161,12 @@ def plan_path(
     if interpolation == OPTIMAL and machine.path is not None and machine.path.asks_for_rests:
         programmed = replace(programmed, blocks=Stream(resting_at_reversals, programmed))
     elif machine.planner is not None and interpolation in _ROUNDED:
-        turned = Stream(resting_at_reversals, programmed, ALONG_ITSELF)
-        programmed = replace(programmed, blocks=turned)
+        resting_blocks = Stream(resting_at_reversals, programmed, ALONG_ITSELF)
+        programmed = replace(programmed, blocks=resting_blocks)
         kinds = [machine.axes[name].kind for name in programmed.axes]
         linear = tuple(k for k, kind in enumerate(kinds) if kind == "linear")
-        first = Stream(resting_before_first_moves, programmed, linear)
-        programmed = replace(programmed, blocks=first)
+        first_move_blocks = Stream(resting_before_first_moves, programmed, linear)
+        programmed = replace(programmed, blocks=first_move_blocks)
     if interpolation != OPTIMAL:
         machine = within_path(machine, programmed.axes, programmed.radius_m)
     return _PLANNERS[interpolation](programmed, machine, options)

@@ -92,10 +92,10 @@ def turns(
     """
     shares = np.ones((0, len(radius_m)))
     if local is not None:
-        most = local.most_between(positions)
-        shares = np.maximum(most[:-1], most[1:])
-    found: tuple[FloatArray, FloatArray] = _turns(positions, radius_m, shares)
-    return found
+        largest_shares = local.most_between(positions)
+        shares = np.maximum(largest_shares[:-1], largest_shares[1:])
+    lengths_and_turns: tuple[FloatArray, FloatArray] = _turns(positions, radius_m, shares)
+    return lengths_and_turns
 
 
 @njit()
@@ -105,17 +105,17 @@ def _turns(positions, radius_m, shares):
     length, turn = np.empty(max(count - 1, 0)), np.zeros(count)
     tangent = np.zeros((2, axes))
     for i in range(count - 1):
-        squared, here, before = 0.0, i % 2, 1 - i % 2
+        length2_m2, current, previous = 0.0, i % 2, 1 - i % 2
         for j in range(axes):
             chord = (positions[i + 1, j] - positions[i, j]) * radius_m[j]
-            tangent[here, j] = chord
-            squared += chord * chord
-        size = np.sqrt(squared)
-        length[i] = size
+            tangent[current, j] = chord
+            length2_m2 += chord * chord
+        length_m = np.sqrt(length2_m2)
+        length[i] = length_m
         changed = 0.0
         for j in range(axes):
-            tangent[here, j] /= size
-            change = tangent[here, j] - tangent[before, j]
+            tangent[current, j] /= length_m
+            change = tangent[current, j] - tangent[previous, j]
             if i > 0 and len(shares):
                 change *= shares[i - 1, j]
             changed += change * change
@@ -137,12 +137,12 @@ def corner_spacing(length_m, turn, cut_m, beside_m, spacing):
     for v in range(count):
         spacing[v] = 0.0
         if turn[v] > 0.0:
-            before = length_m[v - 1] if v > 0 else 0.0
-            after = length_m[v] if v < count - 1 else 0.0
-            beside = max(beside_m[v], beside_m[v + 1] if v < count - 1 else 0.0)
-            unit = (cut_m - beside) / turn[v]
-            if max(before, after) * ANY_CUT > unit:
-                spacing[v] = min(unit / EVEN_CUT, 0.5 * min(before, after))
+            leg_before_m = length_m[v - 1] if v > 0 else 0.0
+            leg_after_m = length_m[v] if v < count - 1 else 0.0
+            deviation_m = max(beside_m[v], beside_m[v + 1] if v < count - 1 else 0.0)
+            room_m = (cut_m - deviation_m) / turn[v]
+            if max(leg_before_m, leg_after_m) * ANY_CUT > room_m:
+                spacing[v] = min(room_m / EVEN_CUT, 0.5 * min(leg_before_m, leg_after_m))
 
 
 class Chords(NamedTuple):
@@ -188,13 +188,13 @@ def control_polygon(
         corner_spacing(length_m, turn, cut_m, vertices.beside_m, spacing[0])
         spacing[1] = spacing[0]
     else:
-        each_m = cut_m + vertices.more_m
+        cuts_m = cut_m + vertices.more_m
         quartic_spacing(
-            length_m, turn, each_m, vertices.beside_m, chords.first, chords.stop, spacing
+            length_m, turn, cuts_m, vertices.beside_m, chords.first, chords.stop, spacing
         )
-    of = vertices.positions, vertices.nominal_s, vertices.operation, vertices.line
+    vertex_columns = vertices.positions, vertices.nominal_s, vertices.operation, vertices.line
     # Plain tuples: numba finds the type of a named one anew in each call.
-    columns = _points(of, (length_m, turn, spacing), tuple(chords), degree == QUARTIC)
+    columns = _points(vertex_columns, (length_m, turn, spacing), tuple(chords), degree == QUARTIC)
     return Controls(**dict(zip(_COLUMNS, columns, strict=True)))
 
 
@@ -217,31 +217,40 @@ def _points(vertices, legs, chords, quartic):
             count += 1  # the usual case, without a call
         else:
             count += _on_chord(legs, c, quartic, begins, ends, share)
-    out = np.empty((count, axes))
-    turned, gone, time_s = np.zeros(count), np.empty(count), np.empty(count)
+    point_positions = np.empty((count, axes))
+    point_turn, leg_m, time_s = np.zeros(count), np.empty(count), np.empty(count)
     added = np.zeros(count, dtype=np.int64)
-    own, row = np.empty(count, dtype=np.int64), np.empty(count, dtype=np.int64)
+    point_operation, point_line = np.empty(count, dtype=np.int64), np.empty(count, dtype=np.int64)
     n = 0
     for c in range(first, stop):
-        before, between = 0.0, 0
+        last_share, added_count = 0.0, 0
         if quartic or spacing[1, c] > 0.0 or spacing[0, c + 1] > 0.0:
-            between = _on_chord(legs, c, quartic, begins, ends, share) - 1
-        for k in range(between):
-            at = share[k]
+            added_count = _on_chord(legs, c, quartic, begins, ends, share) - 1
+        for k in range(added_count):
+            point_share = share[k]
             for j in range(axes):
-                out[n, j] = positions[c, j] + at * (positions[c + 1, j] - positions[c, j])
-            gone[n] = (at - before) * length_m[c]
-            time_s[n] = (at - before) * nominal_s[c + 1]
-            own[n], row[n], added[n] = operation[c + 1], line[c + 1], 1
-            before = at
+                point_positions[n, j] = positions[c, j] + point_share * (
+                    positions[c + 1, j] - positions[c, j]
+                )
+            leg_m[n] = (point_share - last_share) * length_m[c]
+            time_s[n] = (point_share - last_share) * nominal_s[c + 1]
+            point_operation[n], point_line[n], added[n] = operation[c + 1], line[c + 1], 1
+            last_share = point_share
             n += 1
         # The end is copied so that a vertex is met bit for bit.
         for j in range(axes):
-            out[n, j] = positions[c + 1, j]
-        gone[n], time_s[n] = (1.0 - before) * length_m[c], (1.0 - before) * nominal_s[c + 1]
-        own[n], row[n], turned[n] = operation[c + 1], line[c + 1], turn[c + 1]
+            point_positions[n, j] = positions[c + 1, j]
+        leg_m[n], time_s[n] = (
+            (1.0 - last_share) * length_m[c],
+            (1.0 - last_share) * nominal_s[c + 1],
+        )
+        point_operation[n], point_line[n], point_turn[n] = (
+            operation[c + 1],
+            line[c + 1],
+            turn[c + 1],
+        )
         n += 1
-    return out, turned, added, gone, time_s, own, row
+    return point_positions, point_turn, added, leg_m, time_s, point_operation, point_line
 
 
 @njit()
@@ -251,12 +260,12 @@ def _on_chord(legs, c, quartic, begins, ends, share):
     near, far = spacing[1, c] / length[c], spacing[0, c + 1] / length[c]
     if quartic:
         opens, closes = begins and c == 0, ends and c == len(length) - 1
-        other = c + 1 if near > 0.0 else c - 1
-        beyond = length[other] / length[c] if 0 <= other < len(length) else np.inf
-        return knots_between(near, far, opens, closes, beyond, share)
+        next_leg = c + 1 if near > 0.0 else c - 1
+        next_share = length[next_leg] / length[c] if 0 <= next_leg < len(length) else np.inf
+        return knots_between(near, far, opens, closes, next_share, share)
     n = 0
-    room = 1.0 - near - far
-    if near > 0.0 and far > 0.0 and room < TOUCH:
+    free_share = 1.0 - near - far
+    if near > 0.0 and far > 0.0 and free_share < TOUCH:
         share[n] = 0.5
         n += 1
     else:
@@ -264,11 +273,11 @@ def _on_chord(legs, c, quartic, begins, ends, share):
         if near > 0.0:
             share[n] = near
             n += 1
-            if far == 0.0 and turn[c + 1] > 0.0 and room > EXTRA * near:
+            if far == 0.0 and turn[c + 1] > 0.0 and free_share > EXTRA * near:
                 share[n] = 2.0 * near
                 n += 1
         if far > 0.0:
-            if near == 0.0 and turn[c] > 0.0 and room > EXTRA * far:
+            if near == 0.0 and turn[c] > 0.0 and free_share > EXTRA * far:
                 share[n] = 1.0 - 2.0 * far
                 n += 1
             share[n] = 1.0 - far
@@ -303,11 +312,11 @@ def pieces_of(
         coefficients, pace, straight = _spans(*columns, first, stop)
     else:
         coefficients, pace, straight = quartic_spans(*columns, first, stop)
-    own = slice(first + 1, stop + 1)
-    operation, line = controls.operation[own], controls.line[own]
+    end_points = slice(first + 1, stop + 1)
+    operation, line = controls.operation[end_points], controls.line[end_points]
     parts = _parts(pace, straight)
     count = _count(parts, straight, operation)
-    nominal_s = _nominal(pace, straight, controls.nominal_s[own])
+    nominal_s = _nominal(pace, straight, controls.nominal_s[end_points])
     if count < len(parts) or parts.max() > 1:
         coefficients, nominal_s, operation, line = _cut_and_joined(
             coefficients, pace, nominal_s, straight, parts, (operation, line), count
@@ -316,8 +325,8 @@ def pieces_of(
     pause = np.zeros(count)
     if ends:
         rest[-1], pause[-1] = 1, dwell_s
-    for fresh in (coefficients, nominal_s, rest, pause):
-        fresh.flags.writeable = False  # the block need not copy an array without other users
+    for column in (coefficients, nominal_s, rest, pause):
+        column.flags.writeable = False  # the block need not copy an array without other users
     return PieceBlock(
         coefficients=coefficients,
         operation=operation,
@@ -359,28 +368,30 @@ def _spans(positions, turn, length_m, nominal_s, first, stop):
         opens[k] = k == 0 or line[k - 1] or line[k]
         closes[k] = k == legs - 1 or line[k + 1] or line[k]
         h = length_m[k + 1]
-        before = h if opens[k] else length_m[k]
-        after = h if closes[k] else length_m[k + 2]
-        total = before + h + after
-        lead[k], trail[k] = before / total, after / total
+        leg_before = h if opens[k] else length_m[k]
+        leg_after = h if closes[k] else length_m[k + 2]
+        total = leg_before + h + leg_after
+        lead[k], trail[k] = leg_before / total, leg_after / total
     coefficients = np.empty((stop - first, 4, axes))
     pace = np.empty((stop - first, 3))
     for k in range(first, stop):
         i = k - first
         h = length_m[k + 1]
-        here = 0.0 if opens[k] else h / (length_m[k] + h)
-        there = 0.0 if closes[k] else h / (h + length_m[k + 2])
+        share_at_start = 0.0 if opens[k] else h / (length_m[k] + h)
+        share_at_end = 0.0 if closes[k] else h / (h + length_m[k + 2])
         for j in range(axes):
             leg = positions[k + 1, j] - positions[k, j]
             d0, d2 = lead[k] * leg, trail[k] * leg
             d1 = leg - d0 - d2
             joint = positions[k, j]
             if not opens[k]:
-                start = d0
-                d0 = (trail[k - 1] * (positions[k, j] - positions[k - 1, j]) + start) * here
-                joint += start - d0
+                start_difference = d0
+                d0 = (
+                    trail[k - 1] * (positions[k, j] - positions[k - 1, j]) + start_difference
+                ) * share_at_start
+                joint += start_difference - d0
             if not closes[k]:
-                d2 = (lead[k + 1] * (positions[k + 2, j] - positions[k + 1, j]) + d2) * there
+                d2 = (lead[k + 1] * (positions[k + 2, j] - positions[k + 1, j]) + d2) * share_at_end
             coefficients[i, 0, j] = joint
             if line[k]:
                 coefficients[i, 1, j], coefficients[i, 2, j], coefficients[i, 3, j] = leg, 0.0, 0.0
@@ -391,9 +402,9 @@ def _spans(positions, turn, length_m, nominal_s, first, stop):
         d0, d2 = lead[k] * nominal_s[k + 1], trail[k] * nominal_s[k + 1]
         pace[i, 1] = 3.0 * (nominal_s[k + 1] - d0 - d2)
         if not opens[k]:
-            d0 = (trail[k - 1] * nominal_s[k] + d0) * here
+            d0 = (trail[k - 1] * nominal_s[k] + d0) * share_at_start
         if not closes[k]:
-            d2 = (lead[k + 1] * nominal_s[k + 2] + d2) * there
+            d2 = (lead[k + 1] * nominal_s[k + 2] + d2) * share_at_end
         pace[i, 0], pace[i, 2] = 3.0 * d0, 3.0 * d2
     return coefficients, pace, line[first:stop]
 
@@ -405,16 +416,16 @@ def _parts(pace, straight):
     A piece has a single nominal time. At the slowest of its paces (m, degree) it would take up to
     half as long again as programmed, and the needle of a stitcher would wait for the head.
     """
-    out = np.ones(len(pace), dtype=np.int64)
+    part_counts = np.ones(len(pace), dtype=np.int64)
     for i in range(len(pace)):
-        total, least, most = 0.0, np.inf, -np.inf
+        total, least_pace, most_pace = 0.0, np.inf, -np.inf
         for k in range(pace.shape[1]):  # sum() and max() of a row would allocate an array
             total += pace[i, k]
-            least, most = min(least, pace[i, k]), max(most, pace[i, k])
-        uneven = (most - least) / max(total / pace.shape[1], _TINY)
+            least_pace, most_pace = min(least_pace, pace[i, k]), max(most_pace, pace[i, k])
+        uneven = (most_pace - least_pace) / max(total / pace.shape[1], _TINY)
         if not straight[i] and uneven > _EVEN:
-            out[i] = min(int(np.ceil(uneven / _EVEN)), _MOST_PARTS)
-    return out
+            part_counts[i] = min(int(np.ceil(uneven / _EVEN)), _MOST_PARTS)
+    return part_counts
 
 
 @njit()
@@ -431,45 +442,47 @@ def _count(parts, straight, operation):
 @njit()
 def _nominal(pace, straight, passed_s):
     """Return the (m,) times of whole pieces: at the slowest pace for curved ones."""
-    out = np.empty(len(pace))
+    times_s = np.empty(len(pace))
     for i in range(len(pace)):
-        most = -np.inf
+        slowest = -np.inf
         for k in range(pace.shape[1]):
-            most = max(most, pace[i, k])
-        out[i] = passed_s[i] if straight[i] else most
-    return out
+            slowest = max(slowest, pace[i, k])
+        times_s[i] = passed_s[i] if straight[i] else slowest
+    return times_s
 
 
 @njit()
-def _cut_and_joined(coefficients, pace, nominal_s, straight, parts, of, count):
+def _cut_and_joined(coefficients, pace, nominal_s, straight, parts, piece_columns, count):
     """Return ``count`` pieces: m cut into ``parts`` each, straight spans of one move joined.
 
-    ``of`` holds the (m,) operations and lines of the pieces.
+    ``piece_columns`` holds the (m,) operations and lines of the pieces.
 
     Returns
     -------
     coefficients, nominal_s, operation, line
         (count, degree + 1, axes) and (count,) of the pieces.
     """
-    operation, line = of
+    operation, line = piece_columns
     order, axes = coefficients.shape[1:]
-    out = np.empty((count, order, axes))
+    pieces = np.empty((count, order, axes))
     time_s = np.empty(count)
-    own, row = np.empty(count, dtype=np.int64), np.empty(count, dtype=np.int64)
+    piece_operation, piece_line = np.empty(count, dtype=np.int64), np.empty(count, dtype=np.int64)
     part_s = np.empty(order - 1)
     n = 0
     for i in range(len(parts)):
-        same = i > 0 and straight[i] and straight[i - 1] and operation[i] == operation[i - 1]
-        if same:
+        joins_previous = (
+            i > 0 and straight[i] and straight[i - 1] and operation[i] == operation[i - 1]
+        )
+        if joins_previous:
             for j in range(axes):
-                out[n - 1, 1, j] += coefficients[i, 1, j]
+                pieces[n - 1, 1, j] += coefficients[i, 1, j]
             time_s[n - 1] += nominal_s[i]
             continue
-        own[n : n + parts[i]], row[n : n + parts[i]] = operation[i], line[i]
+        piece_operation[n : n + parts[i]], piece_line[n : n + parts[i]] = operation[i], line[i]
         if parts[i] == 1:
             for power in range(order):  # assigning the whole array takes seconds to compile
                 for j in range(axes):
-                    out[n, power, j] = coefficients[i, power, j]
+                    pieces[n, power, j] = coefficients[i, power, j]
             time_s[n] = nominal_s[i]
             n += 1
             continue
@@ -478,25 +491,25 @@ def _cut_and_joined(coefficients, pace, nominal_s, straight, parts, of, count):
             u = h * part
             for j in range(axes):
                 for power in range(order):
-                    out[n, power, j] = coefficients[i, power, j]
+                    pieces[n, power, j] = coefficients[i, power, j]
                 # Horner's scheme in both directions shifts a polynomial.
-                for low in range(order - 1):
-                    for power in range(order - 2, low - 1, -1):
-                        out[n, power, j] += u * out[n, power + 1, j]
-                width = 1.0
+                for lowest in range(order - 1):
+                    for power in range(order - 2, lowest - 1, -1):
+                        pieces[n, power, j] += u * pieces[n, power + 1, j]
+                h_power = 1.0
                 for power in range(1, order):
-                    width *= h
-                    out[n, power, j] *= width
+                    h_power *= h
+                    pieces[n, power, j] *= h_power
             # The largest Bezier value of the part's time per u keeps every point within its feed.
-            most = 0.0
-            for later in range(order - 1):
+            largest_s = 0.0
+            for end_arguments in range(order - 1):
                 for k in range(order - 1):
                     part_s[k] = pace[i, k]
                 for level in range(order - 2):
-                    at = u + h if level < later else u
+                    argument = u + h if level < end_arguments else u
                     for k in range(order - 2 - level):
-                        part_s[k] += at * (part_s[k + 1] - part_s[k])
-                most = max(most, part_s[0])
-            time_s[n] = h * most
+                        part_s[k] += argument * (part_s[k + 1] - part_s[k])
+                largest_s = max(largest_s, part_s[0])
+            time_s[n] = h * largest_s
             n += 1
-    return out, time_s, own, row
+    return pieces, time_s, piece_operation, piece_line

@@ -69,10 +69,10 @@ def programmed_path(
             )
     if feed is not None:
         check_feed(feed, job.axes, None)
-    column = [machine.axis_names.index(axis) for axis in job.axes]
+    columns = [machine.axis_names.index(axis) for axis in job.axes]
     return ProgrammedPath(
         axes=job.axes,
-        radius_m=machine.radius_m[column],
+        radius_m=machine.radius_m[columns],
         blocks=KeptStream(_blocks, job, machine, feed, at_limits),
         local=machine.local_radii(job.axes),
         limits=_limits_of(job) if job.sets_limits else None,
@@ -83,18 +83,18 @@ def _limits_of(job: Job) -> ProgramLimits:
     """Return the limits that the program sets, by the operation from which they hold."""
     from threadline.jobs.program_limits import GrowingLimits
 
-    found, index = GrowingLimits(), 0
+    limits, index = GrowingLimits(), 0
     for item in move_runs(job):
         if isinstance(item, MoveRun):
-            acting = [(at, act) for at, acts in item.acts for act in acts]
+            acting_events = [(move_index, act) for move_index, acts in item.acts for act in acts]
             index, begin = index + len(item), index
         else:
-            acting = [(0, item)] if isinstance(item, ToolEvent) else []
+            acting_events = [(0, item)] if isinstance(item, ToolEvent) else []
             index, begin = index + 1, index
-        for at, act in acting:
+        for move_index, act in acting_events:
             if act.limits is not None:
-                found.take(act.limits, begin + at)
-    return found.table()
+                limits.take(act.limits, begin + move_index)
+    return limits.table()
 
 
 @dataclass(slots=True)
@@ -134,7 +134,7 @@ class _Pending:
             [np.concatenate(self.targets)[size:]],
             [np.concatenate(self.line)[size:]],
             [np.concatenate(self.operation)[size:]],
-            {at - size: dwell_s for at, dwell_s in self.rests.items() if at >= size},
+            {index - size: dwell_s for index, dwell_s in self.rests.items() if index >= size},
             [(0, self.feeds[-1][1])],
             self.file,
             self.count - size,
@@ -169,12 +169,12 @@ def _blocks(
 
 def _at_limits(feeds: Sequence[tuple[int, Feed | None]]) -> tuple[tuple[int, Feed | None], ...]:
     """Return the fastest permitted feeds for a timing by limits, equal ones merged."""
-    found: list[tuple[int, Feed | None]] = []
+    merged_feeds: list[tuple[int, Feed | None]] = []
     for begin, feed in feeds:
-        own = None if feed is None else feed.at_limits
-        if not found or own != found[-1][1]:
-            found.append((begin, own))
-    return tuple(found)
+        fastest_feed = None if feed is None else feed.at_limits
+        if not merged_feeds or fastest_feed != merged_feeds[-1][1]:
+            merged_feeds.append((begin, fastest_feed))
+    return tuple(merged_feeds)
 
 
 def _block(
@@ -192,24 +192,24 @@ def _block(
     nominal = np.zeros(size)
     slowed = 0
     ends = [begin for begin, _ in pending.feeds[1:]] + [size]
-    for (begin, programmed), following in zip(pending.feeds, ends, strict=True):
-        end = min(following, size)
+    for (begin, programmed), next_begin in zip(pending.feeds, ends, strict=True):
+        end = min(next_begin, size)
         if begin >= end:
             continue
         place = Place(pending.file, int(line[begin])) if line[begin] else None
-        nominal[begin:end], late = nominal_time_s(
+        nominal[begin:end], slowed_moves = nominal_time_s(
             displacement[begin:end],
             wanted_feed(programmed, feed, place, job, machine),
             feed,
             job,
             machine,
         )
-        slowed += late
+        slowed += slowed_moves
     rest = np.zeros(size, dtype=np.int64)
     dwell_s = np.zeros(size)
-    for at, pause_s in pending.rests.items():
-        if at < size:
-            rest[at], dwell_s[at] = 1, pause_s
+    for vertex, pause_s in pending.rests.items():
+        if vertex < size:
+            rest[vertex], dwell_s[vertex] = 1, pause_s
     return VertexBlock(
         positions=positions,
         operation=np.concatenate(pending.operation)[:size],
@@ -239,8 +239,8 @@ def _check_start(job: Job, machine: Machine) -> None:
 def _check_travel(
     positions: FloatArray, line: IntArray, file: str, job: Job, machine: Machine
 ) -> None:
-    column = [machine.axis_names.index(axis) for axis in job.axes]
-    low, high = machine.travel[column].T
+    columns = [machine.axis_names.index(axis) for axis in job.axes]
+    low, high = machine.travel[columns].T
     inside = (positions >= low - _TRAVEL_SLACK) & (positions <= high + _TRAVEL_SLACK)
     if inside.all():
         return

@@ -62,10 +62,10 @@ class Vertices:
 
 def join_vertices(first: Vertices | None, *others: Vertices) -> Vertices:
     """Return the vertices of ``first``, if there are any, followed by the others'."""
-    given = [part for part in (first, *others) if part is not None]
-    parts = [part for part in given if len(part)]
+    given_parts = [part for part in (first, *others) if part is not None]
+    parts = [part for part in given_parts if len(part)]
     if len(parts) < 2:
-        return parts[0] if parts else given[-1]
+        return parts[0] if parts else given_parts[-1]
     return Vertices(
         positions=np.concatenate([part.positions for part in parts]),
         nominal_s=np.concatenate([part.nominal_s for part in parts]),
@@ -77,8 +77,8 @@ def join_vertices(first: Vertices | None, *others: Vertices) -> Vertices:
 
 
 @njit()
-def _away(places, before, begins, radius_m, rest, near_m):  # type: ignore[no-untyped-def]
-    """Return which of (n, axes) positions are kept; ``before`` is the position before them.
+def _away(places, previous, begins, radius_m, rest, near_m):  # type: ignore[no-untyped-def]
+    """Return which of (n, axes) positions are kept; ``previous`` is the position before them.
 
     A position is kept if it is farther than ``near_m`` from the last kept one. A rest, by ``rest``
     (n,), is kept unless it equals that one: the motion rests where the program says. Distances
@@ -88,34 +88,34 @@ def _away(places, before, begins, radius_m, rest, near_m):  # type: ignore[no-un
     -------
     every, rests
         Whether all are kept, and whether the motion rests at any of them.
-    away
+    is_kept
         (n,) which are kept; without rows if all are.
     """
     rests = 0
     for k in range(len(rest)):
         rests += rest[k] > 0
-    if _all_away(places, before, begins, radius_m, near_m):
+    if _all_away(places, previous, begins, radius_m, near_m):
         return True, rests > 0, np.zeros(0, dtype=np.bool_)
-    away = np.zeros(len(places), dtype=np.bool_)
-    kept, last = 0, -1
+    is_kept = np.zeros(len(places), dtype=np.bool_)
+    kept_count, last = 0, -1
     if begins:
-        away[0] = True
-        kept, last = 1, 0
+        is_kept[0] = True
+        kept_count, last = 1, 0
     for k in range(last + 1, len(places)):
         least_m = COINCIDENT_M if rest[k] > 0 else near_m
         for axis in range(places.shape[1]):  # a difference of rows would allocate an array
-            here_m = places[k, axis] * radius_m[axis]
-            there_m = (places[last, axis] if last >= 0 else before[axis]) * radius_m[axis]
-            if abs(here_m - there_m) > max(least_m, ROUNDING * abs(here_m)):
-                away[k] = True
-                kept += 1
+            own_m = places[k, axis] * radius_m[axis]
+            kept_m = (places[last, axis] if last >= 0 else previous[axis]) * radius_m[axis]
+            if abs(own_m - kept_m) > max(least_m, ROUNDING * abs(own_m)):
+                is_kept[k] = True
+                kept_count += 1
                 last = k
                 break
-    return kept == len(away), rests > 0, away
+    return kept_count == len(is_kept), rests > 0, is_kept
 
 
 @njit()
-def _all_away(places, before, begins, radius_m, near_m):  # type: ignore[no-untyped-def]
+def _all_away(places, previous, begins, radius_m, near_m):  # type: ignore[no-untyped-def]
     """Return whether each position is kept by its distance from its predecessor; usually it is.
 
     This does not track the last kept position, and takes half the time.
@@ -124,9 +124,9 @@ def _all_away(places, before, begins, radius_m, near_m):  # type: ignore[no-unty
     for k in range(1 if begins else 0, len(places)):
         away = False
         for axis in range(places.shape[1]):
-            here_m = places[k, axis] * radius_m[axis]
-            there_m = (places[k - 1, axis] if k > 0 else before[axis]) * radius_m[axis]
-            if abs(here_m - there_m) > max(near_m, ROUNDING * abs(here_m)):
+            own_m = places[k, axis] * radius_m[axis]
+            previous_m = (places[k - 1, axis] if k > 0 else previous[axis]) * radius_m[axis]
+            if abs(own_m - previous_m) > max(near_m, ROUNDING * abs(own_m)):
                 away = True
                 break
         if not away:
@@ -167,44 +167,46 @@ def runs(programmed: ProgrammedPath, near_m: float = COINCIDENT_M) -> Iterator[C
     """
     radius = programmed.radius_m
     last: Vertices | None = None
-    held: Vertices | None = None  # last vertices of the current run that are in no chunk yet
-    begun = 0  # yielded vertices of the run, including its first
-    for own, rest, dwell_s in _bites(programmed):
-        before = own.positions[:1] if last is None else last.positions
-        every, rests, new = _away(own.positions, before[0], last is None, radius, rest, near_m)
-        distinct = own if every else own.take(np.flatnonzero(new))
-        first = 0
+    held_back: Vertices | None = None  # last vertices of the current run that are in no chunk yet
+    yielded_count = 0  # yielded vertices of the run, including its first
+    for bite, rest, dwell_s in _bites(programmed):
+        earlier = bite.positions[:1] if last is None else last.positions
+        all_kept, rests, is_kept = _away(
+            bite.positions, earlier[0], last is None, radius, rest, near_m
+        )
+        distinct = bite if all_kept else bite.take(np.flatnonzero(is_kept))
+        first_left = 0
         if rests:
             # Index of the distinct vertex of each row; -1 is the last one of the earlier rows.
-            at = np.arange(len(own)) if every else np.cumsum(new) - 1
+            distinct_index = np.arange(len(bite)) if all_kept else np.cumsum(is_kept) - 1
             stops = np.flatnonzero(rest)
-            for vertex in np.unique(at[stops]):
-                pause_s = float(dwell_s[stops[at[stops] == vertex]].sum())
-                part = join_vertices(held, distinct.take(slice(first, vertex + 1)))
-                if begun + len(part) > _LEAST:
+            for vertex in np.unique(distinct_index[stops]):
+                pause_s = float(dwell_s[stops[distinct_index[stops] == vertex]].sum())
+                part = join_vertices(held_back, distinct.take(slice(first_left, vertex + 1)))
+                if yielded_count + len(part) > _LEAST:
                     part = _without_near_end(part, radius, near_m)
                 yield Chunk(parts=(part,), ends=True, dwell_s=pause_s)
-                first, held, begun = int(vertex) + 1, None, 1
+                first_left, held_back, yielded_count = int(vertex) + 1, None, 1
         if len(distinct):
             last = distinct.take(slice(-1, None))
-        if len(distinct) > first:
-            parts = () if held is None else (held,)
-            if len(distinct) > first + 1:
-                parts = (*parts, distinct.take(slice(first, -1)))
+        if len(distinct) > first_left:
+            parts = () if held_back is None else (held_back,)
+            if len(distinct) > first_left + 1:
+                parts = (*parts, distinct.take(slice(first_left, -1)))
             if parts:
-                begun += sum(map(len, parts))
+                yielded_count += sum(map(len, parts))
                 yield Chunk(parts=parts, ends=False, dwell_s=0.0)
-            held = last
-    if held is not None:
-        yield Chunk(parts=(held,), ends=False, dwell_s=0.0)
+            held_back = last
+    if held_back is not None:
+        yield Chunk(parts=(held_back,), ends=False, dwell_s=0.0)
 
 
 def _without_near_end(part: Vertices, radius_m: FloatArray, near_m: float) -> Vertices:
     """Return the last vertices of a run; if the last but one is near the end, without it."""
     if len(part) < _LEAST:
         return part
-    way_m = np.abs((part.positions[-1] - part.positions[-2]) * radius_m).max()
-    if not way_m <= near_m:
+    last_leg_m = np.abs((part.positions[-1] - part.positions[-2]) * radius_m).max()
+    if not last_leg_m <= near_m:
         return part
     positions = part.positions[:-1].copy()
     positions[-1] = part.positions[-1]
@@ -216,7 +218,7 @@ def _bites(programmed: ProgrammedPath) -> Iterator[tuple[Vertices, IntArray, Flo
     for block in programmed:
         for first in range(0, len(block), AT_A_TIME):
             rows = slice(first, first + AT_A_TIME)
-            own = Vertices(
+            bite = Vertices(
                 positions=block.positions[rows],
                 nominal_s=block.nominal_s[rows],
                 operation=block.operation[rows],
@@ -224,7 +226,7 @@ def _bites(programmed: ProgrammedPath) -> Iterator[tuple[Vertices, IntArray, Flo
                 beside_m=_NOTHING[: len(block.line[rows])],
                 more_m=_NOTHING[: len(block.line[rows])],
             )
-            yield own, block.rest[rows], block.dwell_s[rows]
+            yield bite, block.rest[rows], block.dwell_s[rows]
 
 
 _BACK = -0.85  # cosine of a corner (148 degrees) at which the motion rests: the speed kinks there
@@ -238,14 +240,14 @@ def reversals(places: FloatArray, back: float = _BACK) -> IntArray:
 
     ``back`` is the cosine of the corner from which on the path turns back.
     """
-    way = np.diff(places, axis=0)
-    size = np.linalg.norm(way, axis=1)
-    out = np.zeros(len(places), dtype=np.int64)
-    moved = np.flatnonzero(size > 0.0)
-    tangent = way[moved] / size[moved, None]
-    turned = (tangent[1:] * tangent[:-1]).sum(axis=1) < back
-    out[moved[1:][turned]] = 1
-    return out
+    legs = np.diff(places, axis=0)
+    lengths = np.linalg.norm(legs, axis=1)
+    is_reversal = np.zeros(len(places), dtype=np.int64)
+    moving_legs = np.flatnonzero(lengths > 0.0)
+    tangent = legs[moving_legs] / lengths[moving_legs, None]
+    turns_back = (tangent[1:] * tangent[:-1]).sum(axis=1) < back
+    is_reversal[moving_legs[1:][turns_back]] = 1
+    return is_reversal
 
 
 def resting_at_reversals(programmed: ProgrammedPath, back: float = _BACK) -> Iterator[VertexBlock]:
@@ -254,18 +256,18 @@ def resting_at_reversals(programmed: ProgrammedPath, back: float = _BACK) -> Ite
     ``back`` is as in ``reversals``.
     """
     radius_m = programmed.radius_m
-    held: VertexBlock | None = None
-    before = np.zeros((0, len(radius_m)))  # the vertex before the buffered ones
+    held_back: VertexBlock | None = None
+    vertices_before = np.zeros((0, len(radius_m)))  # the vertex before the buffered ones
     for block in programmed:
-        if held is not None and (block.positions == held.positions[-1]).all():
-            held = _joined(held, block)  # nothing moves: the next vertices decide
+        if held_back is not None and (block.positions == held_back.positions[-1]).all():
+            held_back = _joined(held_back, block)  # nothing moves: the next vertices decide
             continue
-        if held is not None:
-            yield _rested(held, before, block.positions, radius_m, back)
-            before = _came_from(np.concatenate([before, held.positions]))
-        held = block
-    if held is not None:
-        yield _rested(held, before, held.positions[-1:], radius_m, back)
+        if held_back is not None:
+            yield _rested(held_back, vertices_before, block.positions, radius_m, back)
+            vertices_before = _came_from(np.concatenate([vertices_before, held_back.positions]))
+        held_back = block
+    if held_back is not None:
+        yield _rested(held_back, vertices_before, held_back.positions[-1:], radius_m, back)
 
 
 def resting_before_first_moves(
@@ -276,54 +278,58 @@ def resting_before_first_moves(
     Until then the axis is where the operator has left it, and not at the zero of the program: a
     rounded corner would move it from there while the others still go to their place.
     """
-    still = set(axes)
-    held: VertexBlock | None = None
+    unmoved_axes = set(axes)
+    held_back: VertexBlock | None = None
     start = np.zeros(0)
     for block in programmed:
-        if held is None:
+        if held_back is None:
             start = block.positions[0]
         else:
-            yield _before_first_moves(held, block.positions[:1], start, still)
-        held = block
-    if held is not None:
-        yield _before_first_moves(held, held.positions[-1:], start, still)
+            yield _before_first_moves(held_back, block.positions[:1], start, unmoved_axes)
+        held_back = block
+    if held_back is not None:
+        yield _before_first_moves(held_back, held_back.positions[-1:], start, unmoved_axes)
 
 
 def _before_first_moves(
-    block: VertexBlock, after: FloatArray, start: FloatArray, still: set[int]
+    block: VertexBlock, next_position: FloatArray, start: FloatArray, unmoved_axes: set[int]
 ) -> VertexBlock:
-    """Return a block with its rests, and take the axes that move out of ``still``."""
-    moved = np.concatenate([block.positions, after]) != start
+    """Return a block with its rests, and take the axes that move out of ``unmoved_axes``."""
+    has_moved = np.concatenate([block.positions, next_position]) != start
     rest = block.rest
-    for axis in sorted(still):
-        rows = np.flatnonzero(moved[:, axis])
+    for axis in sorted(unmoved_axes):
+        rows = np.flatnonzero(has_moved[:, axis])
         if len(rows):
-            still.discard(axis)
-            if rows[0] > 0 and moved[rows[0] - 1].any():
+            unmoved_axes.discard(axis)
+            if rows[0] > 0 and has_moved[rows[0] - 1].any():
                 rest = np.where(np.arange(len(rest)) == rows[0] - 1, 1, rest)
     return block if rest is block.rest else replace(block, rest=rest)
 
 
 def _rested(
-    block: VertexBlock, before: FloatArray, after: FloatArray, radius_m: FloatArray, back: float
+    block: VertexBlock,
+    vertices_before: FloatArray,
+    vertices_after: FloatArray,
+    radius_m: FloatArray,
+    back: float,
 ) -> VertexBlock:
-    places = np.concatenate([before, block.positions, after]) * radius_m
-    turned = reversals(places, back)[len(before) : len(before) + len(block)]
-    return replace(block, rest=np.maximum(block.rest, turned))
+    places = np.concatenate([vertices_before, block.positions, vertices_after]) * radius_m
+    is_reversal = reversals(places, back)[len(vertices_before) : len(vertices_before) + len(block)]
+    return replace(block, rest=np.maximum(block.rest, is_reversal))
 
 
 def _came_from(places: FloatArray) -> FloatArray:
     """Return the last two of (n, axes) positions that differ, or all if there are fewer."""
-    moved = np.flatnonzero((places != places[-1]).any(axis=1))
-    return places[-1:] if not len(moved) else places[[moved[-1], -1]]
+    other_rows = np.flatnonzero((places != places[-1]).any(axis=1))
+    return places[-1:] if not len(other_rows) else places[[other_rows[-1], -1]]
 
 
-def _joined(first: VertexBlock, then: VertexBlock) -> VertexBlock:
+def _joined(first: VertexBlock, second: VertexBlock) -> VertexBlock:
     return VertexBlock(
-        positions=np.concatenate([first.positions, then.positions]),
-        operation=np.concatenate([first.operation, then.operation]),
-        nominal_s=np.concatenate([first.nominal_s, then.nominal_s]),
-        rest=np.concatenate([first.rest, then.rest]),
-        dwell_s=np.concatenate([first.dwell_s, then.dwell_s]),
-        line=np.concatenate([first.line, then.line]),
+        positions=np.concatenate([first.positions, second.positions]),
+        operation=np.concatenate([first.operation, second.operation]),
+        nominal_s=np.concatenate([first.nominal_s, second.nominal_s]),
+        rest=np.concatenate([first.rest, second.rest]),
+        dwell_s=np.concatenate([first.dwell_s, second.dwell_s]),
+        line=np.concatenate([first.line, second.line]),
     )

@@ -108,27 +108,29 @@ def polynomial_pieces(
     quintic
         Whether the pieces have continuous acceleration.
     """
-    held: Vertices | None = None
-    before: FloatArray | None = None  # mean velocities of the chord before ``held``
+    buffered: Vertices | None = None
+    velocity_before: FloatArray | None = None  # mean velocities of the chord before ``buffered``
     for chunk in runs(programmed):
-        held = join_vertices(held, *chunk.parts)
-        count = len(held)
+        buffered = join_vertices(buffered, *chunk.parts)
+        count = len(buffered)
         stop = count - 1 if chunk.ends else count - 2
         if stop > 0:
-            leg = np.diff(held.positions, axis=0)
-            time_s = polynomial_time_s(leg, held.nominal_s[1:], limits, quintic=quintic)
-            mean = leg / time_s[:, None]
-            via = np.zeros_like(held.positions)
-            first = mean[:1] * 0.0 if before is None else before
-            via[:-1] = _between(np.concatenate([first, mean[:-1]]), mean)
-            yield _polynomial_pieces(held, via, time_s, stop, chunk, quintic)
-            before = mean[stop - 1 : stop]
+            leg = np.diff(buffered.positions, axis=0)
+            time_s = polynomial_time_s(leg, buffered.nominal_s[1:], limits, quintic=quintic)
+            mean_velocity = leg / time_s[:, None]
+            vertex_velocity = np.zeros_like(buffered.positions)
+            first_velocity = mean_velocity[:1] * 0.0 if velocity_before is None else velocity_before
+            vertex_velocity[:-1] = _between(
+                np.concatenate([first_velocity, mean_velocity[:-1]]), mean_velocity
+            )
+            yield _polynomial_pieces(buffered, vertex_velocity, time_s, stop, chunk, quintic)
+            velocity_before = mean_velocity[stop - 1 : stop]
         elif chunk.ends and chunk.dwell_s > 0:
-            yield pause(held, chunk.dwell_s)
+            yield pause(buffered, chunk.dwell_s)
         if chunk.ends:
-            held, before = held.take(slice(count - 1, None)), None
+            buffered, velocity_before = buffered.take(slice(count - 1, None)), None
         elif stop > 0:
-            held = held.take(slice(stop, None))
+            buffered = buffered.take(slice(stop, None))
 
 
 def _between(before: FloatArray, after: FloatArray) -> FloatArray:
@@ -138,12 +140,17 @@ def _between(before: FloatArray, after: FloatArray) -> FloatArray:
 
 
 def _polynomial_pieces(
-    held: Vertices, via: FloatArray, time_s: FloatArray, stop: int, chunk: Chunk, quintic: bool
+    vertices: Vertices,
+    vertex_velocity: FloatArray,
+    time_s: FloatArray,
+    stop: int,
+    chunk: Chunk,
+    quintic: bool,
 ) -> PieceBlock:
-    begin, end = held.positions[:stop], held.positions[1 : stop + 1]
+    begin, end = vertices.positions[:stop], vertices.positions[1 : stop + 1]
     leg = end - begin
-    first = via[:stop] * time_s[:stop, None]
-    last = via[1 : stop + 1] * time_s[:stop, None]
+    first = vertex_velocity[:stop] * time_s[:stop, None]
+    last = vertex_velocity[1 : stop + 1] * time_s[:stop, None]
     zero = np.zeros_like(leg)
     if quintic:
         shape = [
@@ -162,11 +169,11 @@ def _polynomial_pieces(
         rest[-1], dwell[-1] = 1, chunk.dwell_s
     return PieceBlock(
         coefficients=np.stack(shape, axis=1),
-        operation=held.operation[1 : stop + 1],
+        operation=vertices.operation[1 : stop + 1],
         nominal_s=time_s[:stop],
         rest_after=rest,
         dwell_s=dwell,
-        line=held.line[1 : stop + 1],
+        line=vertices.line[1 : stop + 1],
     )
 
 
@@ -194,89 +201,105 @@ def blended_pieces(programmed: ProgrammedPath, cut_m: float) -> Iterator[PieceBl
     most half way to the next vertex, and is yielded as two pieces, one for each of the two moves.
     """
     radius = programmed.radius_m
-    held: Vertices | None = None
-    first = 0  # first chord between ``held`` that was not yielded yet
+    buffered: Vertices | None = None
+    first_chord = 0  # first chord in ``buffered`` that was not yielded yet
     for chunk in runs(programmed):
-        held = join_vertices(held, *chunk.parts)
+        buffered = join_vertices(buffered, *chunk.parts)
         while True:
-            length, turn = turns(held.positions, radius, programmed.local)
-            tight = np.flatnonzero(CUT * cut_m < LEAST_SPACING_M * turn)
-            tight = tight[tight > first]
-            if not len(tight):
+            length, turn = turns(buffered.positions, radius, programmed.local)
+            tight_corners = np.flatnonzero(CUT * cut_m < LEAST_SPACING_M * turn)
+            tight_corners = tight_corners[tight_corners > first_chord]
+            if not len(tight_corners):
                 break
-            stop = int(tight[0])
-            yield _blends_pieces(held, length, turn, cut_m, (first, stop), ends=True, dwell_s=0.0)
-            held, first = held.take(slice(stop, None)), 0
-        stop = len(held) - 1 if chunk.ends else len(held) - 2
-        if stop > first:
+            stop = int(tight_corners[0])
             yield _blends_pieces(
-                held, length, turn, cut_m, (first, stop), ends=chunk.ends, dwell_s=chunk.dwell_s
+                buffered, length, turn, cut_m, (first_chord, stop), ends=True, dwell_s=0.0
+            )
+            buffered, first_chord = buffered.take(slice(stop, None)), 0
+        stop = len(buffered) - 1 if chunk.ends else len(buffered) - 2
+        if stop > first_chord:
+            yield _blends_pieces(
+                buffered,
+                length,
+                turn,
+                cut_m,
+                (first_chord, stop),
+                ends=chunk.ends,
+                dwell_s=chunk.dwell_s,
             )
         elif chunk.ends and chunk.dwell_s > 0:
-            yield pause(held, chunk.dwell_s)
+            yield pause(buffered, chunk.dwell_s)
         if chunk.ends:
-            held, first = held.take(slice(len(held) - 1, None)), 0
-        elif stop > first:
-            held, first = held.take(slice(stop - 1, None)), 1
+            buffered, first_chord = buffered.take(slice(len(buffered) - 1, None)), 0
+        elif stop > first_chord:
+            buffered, first_chord = buffered.take(slice(stop - 1, None)), 1
 
 
 def _blends_pieces(
-    held: Vertices,
+    vertices: Vertices,
     length: FloatArray,
     turn: FloatArray,
     cut_m: float,
-    between: tuple[int, int],
+    chord_range: tuple[int, int],
     *,
     ends: bool,
     dwell_s: float,
 ) -> PieceBlock:
     """Return the chords between two vertices and the corners at their ends."""
-    first, stop = between
+    first, stop = chord_range
     turn = turn.copy()
     if ends:
         turn[stop] = 0.0
-    room = np.minimum(np.append(length, np.inf), np.insert(length, 0, np.inf)) / 2.0
+    half_legs = np.minimum(np.append(length, np.inf), np.insert(length, 0, np.inf)) / 2.0
     with np.errstate(divide="ignore"):
-        reach = np.where(turn > 0, np.minimum(CUT * cut_m / turn, room), 0.0)
+        blend_m = np.where(turn > 0, np.minimum(CUT * cut_m / turn, half_legs), 0.0)
     chords = np.arange(first, stop)
-    leg = held.positions[chords + 1] - held.positions[chords]
-    before = (reach[chords] / length[chords])[:, None]
-    after = (reach[chords + 1] / length[chords])[:, None]
-    onward = np.minimum(chords + 1, len(length) - 1)
-    next_leg = held.positions[onward + 1] - held.positions[onward]
-    next_share = (reach[chords + 1] / length[onward])[:, None]
-    vertex = held.positions[chords + 1]
-    enter, leave = vertex - after * leg, vertex + next_share * next_leg
+    leg = vertices.positions[chords + 1] - vertices.positions[chords]
+    share_before = (blend_m[chords] / length[chords])[:, None]
+    share_after = (blend_m[chords + 1] / length[chords])[:, None]
+    next_chords = np.minimum(chords + 1, len(length) - 1)
+    next_leg = vertices.positions[next_chords + 1] - vertices.positions[next_chords]
+    next_share = (blend_m[chords + 1] / length[next_chords])[:, None]
+    vertex = vertices.positions[chords + 1]
+    enter, leave = vertex - share_after * leg, vertex + next_share * next_leg
     bend = (enter - 2.0 * vertex + leave) / 4.0
     zero = np.zeros_like(leg)
-    line = [held.positions[chords] + before * leg, (1.0 - before - after) * leg, zero]
-    one = [enter, vertex - enter, bend]
-    two = [(enter + 2.0 * vertex + leave) / 4.0, (leave - enter) / 2.0, bend]
-    coefficients = np.stack([np.stack(part, axis=1) for part in (line, one, two)], axis=1)
-    arriving = held.nominal_s[chords + 1] * after[:, 0]
-    leaving = held.nominal_s[onward + 1] * next_share[:, 0]
+    line = [
+        vertices.positions[chords] + share_before * leg,
+        (1.0 - share_before - share_after) * leg,
+        zero,
+    ]
+    first_half = [enter, vertex - enter, bend]
+    second_half = [(enter + 2.0 * vertex + leave) / 4.0, (leave - enter) / 2.0, bend]
+    coefficients = np.stack(
+        [np.stack(part, axis=1) for part in (line, first_half, second_half)], axis=1
+    )
+    arriving = vertices.nominal_s[chords + 1] * share_after[:, 0]
+    leaving = vertices.nominal_s[next_chords + 1] * next_share[:, 0]
     middle = (arriving + leaving) / 2.0
     nominal = np.stack(
         [
-            held.nominal_s[chords + 1] * (1.0 - before - after)[:, 0],
+            vertices.nominal_s[chords + 1] * (1.0 - share_before - share_after)[:, 0],
             np.maximum(arriving, middle),
             np.maximum(middle, leaving),
         ],
         axis=1,
     )
-    corner = reach[chords + 1] > 0
-    straight = (1.0 - before - after)[:, 0] > 1e-12
-    kept = np.flatnonzero(np.stack([straight, corner, corner], axis=1))
-    operation = np.stack([held.operation[k] for k in (chords + 1, chords + 1, onward + 1)], axis=1)
-    lines = np.stack([held.line[k] for k in (chords + 1, chords + 1, onward + 1)], axis=1)
-    rest, dwell = np.zeros(len(kept), dtype=np.int64), np.zeros(len(kept))
+    corner = blend_m[chords + 1] > 0
+    straight = (1.0 - share_before - share_after)[:, 0] > 1e-12
+    kept_pieces = np.flatnonzero(np.stack([straight, corner, corner], axis=1))
+    operation = np.stack(
+        [vertices.operation[k] for k in (chords + 1, chords + 1, next_chords + 1)], axis=1
+    )
+    lines = np.stack([vertices.line[k] for k in (chords + 1, chords + 1, next_chords + 1)], axis=1)
+    rest, dwell = np.zeros(len(kept_pieces), dtype=np.int64), np.zeros(len(kept_pieces))
     if ends:
         rest[-1], dwell[-1] = 1, dwell_s
     return PieceBlock(
-        coefficients=coefficients.reshape(-1, 3, leg.shape[1])[kept],
-        operation=operation.reshape(-1)[kept],
-        nominal_s=nominal.reshape(-1)[kept],
+        coefficients=coefficients.reshape(-1, 3, leg.shape[1])[kept_pieces],
+        operation=operation.reshape(-1)[kept_pieces],
+        nominal_s=nominal.reshape(-1)[kept_pieces],
         rest_after=rest,
         dwell_s=dwell,
-        line=lines.reshape(-1)[kept],
+        line=lines.reshape(-1)[kept_pieces],
     )

@@ -49,15 +49,15 @@ ENOUGH = 1024  # vertices of a chunk after chords: for fewer, a call costs more 
 def thinned_runs(programmed: ProgrammedPath, near_m: float, cut_m: float) -> Iterator[Chunk]:
     """Yield the same as ``runs``, with chords in place of legs where the program is rough."""
     thinner = Thinner(programmed.radius_m, cut_m)
-    held: list[Vertices] = []
+    held_parts: list[Vertices] = []
     for chunk in runs(programmed, near_m):
-        fresh = thinner.thinned(chunk)
-        held += fresh.parts
-        if fresh.ends or sum(map(len, held)) >= ENOUGH:
-            yield replace(fresh, parts=tuple(held))
-            held = []
-    if any(map(len, held)):
-        yield Chunk(parts=tuple(held), ends=False, dwell_s=0.0)
+        new_chunk = thinner.thinned(chunk)
+        held_parts += new_chunk.parts
+        if new_chunk.ends or sum(map(len, held_parts)) >= ENOUGH:
+            yield replace(new_chunk, parts=tuple(held_parts))
+            held_parts = []
+    if any(map(len, held_parts)):
+        yield Chunk(parts=tuple(held_parts), ends=False, dwell_s=0.0)
 
 
 @dataclass(slots=True)
@@ -104,7 +104,7 @@ class Thinner:
             self.place,
             self.known,
         )
-        found = Vertices(
+        vertices = Vertices(
             positions=positions,
             nominal_s=nominal_s,
             operation=held.operation[row],
@@ -113,15 +113,15 @@ class Thinner:
             more_m=np.zeros(len(row)),
         )
         if not begun:
-            found = join_vertices(held.take(slice(0, 1)), found)
+            vertices = join_vertices(held.take(slice(0, 1)), vertices)
         if chunk.ends:
             self.held, self.start = held.take(slice(-1, None)), 0
             self.place, self.known = held.positions[-1] * self.radius_m, BEGIN
         else:
-            gone = max(start - 1, 0)
-            self.held, self.start = held.take(slice(gone, None)), start - gone
-            self.place, self.known = place, (known[0] - gone, *known[1:])
-        return Chunk(parts=(found,), ends=chunk.ends, dwell_s=chunk.dwell_s)
+            dropped = max(start - 1, 0)
+            self.held, self.start = held.take(slice(dropped, None)), start - dropped
+            self.place, self.known = place, (known[0] - dropped, *known[1:])
+        return Chunk(parts=(vertices,), ends=chunk.ends, dwell_s=chunk.dwell_s)
 
 
 @njit(fastmath={"reassoc"})
@@ -166,46 +166,50 @@ def _thin(vertices, cut_m, shares_m, ends, start, place, known):
     out, beside = np.empty((count, axes)), np.empty(count)
     time_s, row = np.empty(count), np.empty(count, dtype=np.int64)
     kept = legs_kept(positions, radius_m, cut_m)
-    here, d = place.copy(), np.empty(axes)
-    program, tool_chord = Program(positions, radius_m), ToolChord(here, d, np.empty(axes))
+    chord_start, d = place.copy(), np.empty(axes)
+    program, tool_chord = Program(positions, radius_m), ToolChord(chord_start, d, np.empty(axes))
     # The roughness at the last two rows is unknown before more vertices come.
-    last = count - 1 if ends else count - 2
+    last_row = count - 1 if ends else count - 2
     n, next_kept = 0, start
-    while start < last:
-        if not ends and last - start < WINDOW:
+    while start < last_row:
+        if not ends and last_row - start < WINDOW:
             break
         if start >= until:
-            found = roughness(positions, radius_m, cut_m, start, min(last, start + WINDOW))
-            valid = min(2 * valid, LONGEST) if found == ROUGH and rough == ROUGH else VALID
-            rough = found
+            roughness_found = roughness(
+                positions, radius_m, cut_m, start, min(last_row, start + WINDOW)
+            )
+            valid = (
+                min(2 * valid, LONGEST) if roughness_found == ROUGH and rough == ROUGH else VALID
+            )
+            rough = roughness_found
             until = start + (valid if rough != SMOOTH else WINDOW)
         # Going back from a chord's end to the next vertex would add an unintended turn.
-        aside = from_vertex(positions, radius_m, here, start) > 0.0
+        aside = from_vertex(positions, radius_m, chord_start, start) > 0.0
         limit = start + 1
         if (aside or rough != SMOOTH) and not len(kept):
-            limit = min(last, start + AHEAD)
+            limit = min(last_row, start + AHEAD)
         elif (aside or rough != SMOOTH) and not kept[start]:
             next_kept = max(next_kept, start)
-            while next_kept < min(last, start + AHEAD) and not kept[next_kept]:
+            while next_kept < min(last_row, start + AHEAD) and not kept[next_kept]:
                 next_kept += 1
             limit = next_kept
         if limit - start < LEAST:  # tested here: a call with so many arrays costs more
             k, met, strayed, guess = (
                 start + 1,
                 True,
-                from_vertex(positions, radius_m, here, start),
+                from_vertex(positions, radius_m, chord_start, start),
                 0,
             )
-            towards(positions, radius_m, here, k, d)
+            towards(positions, radius_m, chord_start, k, d)
         else:
-            corner = (len(kept) > 0 and kept[limit]) or (ends and limit == last)
+            corner = (len(kept) > 0 and kept[limit]) or (ends and limit == last_row)
             k, met, strayed, level, guess = chord(
                 program,
                 shares_m,
                 rough,
                 aside,
                 Before(level, before_m, guess),
-                Legs(start, limit, corner, not ends and not corner and limit == last),
+                Legs(start, limit, corner, not ends and not corner and limit == last_row),
                 tool_chord,
             )
         if k < 0:
@@ -215,15 +219,15 @@ def _thin(vertices, cut_m, shares_m, ends, start, place, known):
         before_m = np.sqrt(squared_of(d))
         for j in range(axes):
             if met:  # a vertex is met bit for bit
-                here[j] = positions[k, j] * radius_m[j]
+                chord_start[j] = positions[k, j] * radius_m[j]
                 out[n, j] = positions[k, j]
             else:
-                here[j] += d[j]
-                out[n, j] = here[j] / radius_m[j]
+                chord_start[j] += d[j]
+                out[n, j] = chord_start[j] / radius_m[j]
         time_s[n] = _passed(nominal_s, start, k)
         row[n], beside[n] = k, strayed
         n += 1
         start = k
     # These arrays are longer than their used part.
-    own = out[:n].copy(), beside[:n].copy(), time_s[:n].copy(), row[:n].copy()
-    return *own, start, here, (until, rough, valid, level, before_m, guess)
+    used_parts = out[:n].copy(), beside[:n].copy(), time_s[:n].copy(), row[:n].copy()
+    return *used_parts, start, chord_start, (until, rough, valid, level, before_m, guess)

@@ -74,34 +74,36 @@ def moved_outside(
     corners
         Allowances of single corners.
     """
-    before: Vertices | None = None  # the programmed vertex before the held one
-    held: Vertices | None = None  # the last vertex, whose next one is not yet known
+    previous: Vertices | None = None  # the programmed vertex before the held one
+    held_back: Vertices | None = None  # the last vertex, whose next one is not yet known
     for chunk in chunks:
-        fresh = chunk.vertices
-        if not len(fresh):
-            if chunk.ends and held is not None:
-                before, held = held, None
-                yield replace(chunk, parts=(before,))
+        new_vertices = chunk.vertices
+        if not len(new_vertices):
+            if chunk.ends and held_back is not None:
+                previous, held_back = held_back, None
+                yield replace(chunk, parts=(previous,))
             else:
                 yield chunk
             continue
-        known = join_vertices(before, *(part for part in (held, fresh) if part is not None))
-        first = 0 if before is None else 1
-        if first == 0 and len(known) == 1 and not chunk.ends:
-            held = known
+        known = join_vertices(
+            previous, *(part for part in (held_back, new_vertices) if part is not None)
+        )
+        first_new = 0 if previous is None else 1
+        if first_new == 0 and len(known) == 1 and not chunk.ends:
+            held_back = known
             continue
         moved = _moved(known, programmed, cut_m, corners)
         if chunk.ends:
-            yield replace(chunk, parts=(moved.take(slice(first, None)),))
-            before, held = known.take(slice(-1, None)), None
+            yield replace(chunk, parts=(moved.take(slice(first_new, None)),))
+            previous, held_back = known.take(slice(-1, None)), None
             continue
         # The first vertex of a path has no corner; the last one's is not known yet.
-        if len(known) - 1 > first:
-            yield replace(chunk, parts=(moved.take(slice(first, -1)),))
-        held = known.take(slice(-1, None))
-        before = known.take(slice(-2, -1)) if len(known) > 1 else before
-    if held is not None:
-        yield Chunk(parts=(held,), ends=False, dwell_s=0.0)
+        if len(known) - 1 > first_new:
+            yield replace(chunk, parts=(moved.take(slice(first_new, -1)),))
+        held_back = known.take(slice(-1, None))
+        previous = known.take(slice(-2, -1)) if len(known) > 1 else previous
+    if held_back is not None:
+        yield Chunk(parts=(held_back,), ends=False, dwell_s=0.0)
 
 
 def _moved(known: Vertices, programmed: ProgrammedPath, cut_m: float, corners: Corners) -> Vertices:
@@ -111,24 +113,24 @@ def _moved(known: Vertices, programmed: ProgrammedPath, cut_m: float, corners: C
     radius_m = programmed.radius_m
     length_m, turn = turns(known.positions, radius_m, programmed.local)
     shorter_m = np.minimum(length_m[:-1], length_m[1:])
-    could_m = CUT * turn[1:-1] * 0.5 * shorter_m
+    usable_m = CUT * turn[1:-1] * 0.5 * shorter_m
     share = np.ones(len(turn) - 2)
     for line, width_m in corners.narrow:
         share[known.line[1:-1] == line] = min(width_m / cut_m, 1.0)
     inside_m = share * cut_m
     # A leg moves by less than its vertex, by the cosine of half the angle between the legs.
-    beside = np.sqrt(np.maximum(1.0 - 0.25 * turn[1:-1] ** 2, _LEAST_COSINE**2))
-    most_m = share * min(corners.outside_m, cut_m) / beside
-    outer_m = np.clip(could_m - inside_m, 0.0, most_m)
+    half_angle_cosine = np.sqrt(np.maximum(1.0 - 0.25 * turn[1:-1] ** 2, _LEAST_COSINE**2))
+    limit_m = share * min(corners.outside_m, cut_m) / half_angle_cosine
+    outer_m = np.clip(usable_m - inside_m, 0.0, limit_m)
     outer_m[turn[1:-1] >= _BACK] = 0.0
-    at_tool = np.diff(known.positions * radius_m, axis=0) / length_m[:, None]
-    inward = np.diff(at_tool, axis=0)
-    size = np.linalg.norm(inward, axis=1)
-    way_m: FloatArray = np.divide(
-        outer_m, size, out=np.zeros_like(size), where=(size > 0.0) & (outer_m > 0.0)
+    tangents = np.diff(known.positions * radius_m, axis=0) / length_m[:, None]
+    inward = np.diff(tangents, axis=0)
+    norm = np.linalg.norm(inward, axis=1)
+    shift_per_inward_m: FloatArray = np.divide(
+        outer_m, norm, out=np.zeros_like(norm), where=(norm > 0.0) & (outer_m > 0.0)
     )
     positions = known.positions.copy()
-    positions[1:-1] -= way_m[:, None] * inward / radius_m
+    positions[1:-1] -= shift_per_inward_m[:, None] * inward / radius_m
     more_m = np.zeros(len(known))
     more_m[1:-1] = outer_m + inside_m - cut_m
     return replace(known, positions=positions, more_m=more_m)

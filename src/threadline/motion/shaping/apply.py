@@ -120,16 +120,16 @@ def on_tick_grid(shaper: Shaper, tick_s: float) -> Shaper:
     ticks = shaper.times_s / tick_s
     whole = np.rint(ticks)
     ticks = np.where(np.abs(ticks - whole) < 1e-9, whole, ticks)
-    below = np.floor(ticks)
-    share = ticks - below
-    at = np.concatenate([below, below + 1.0]).astype(np.int64)
+    lower_tick = np.floor(ticks)
+    share = ticks - lower_tick
+    impulse_ticks = np.concatenate([lower_tick, lower_tick + 1.0]).astype(np.int64)
     weight = np.concatenate([shaper.amplitudes * (1.0 - share), shaper.amplitudes * share])
-    amplitudes = np.zeros(int(at.max()) + 1)
-    np.add.at(amplitudes, at, weight)
-    used = np.flatnonzero(np.abs(amplitudes) > 1e-15)
+    amplitudes = np.zeros(int(impulse_ticks.max()) + 1)
+    np.add.at(amplitudes, impulse_ticks, weight)
+    used_ticks = np.flatnonzero(np.abs(amplitudes) > 1e-15)
     return Shaper(
-        amplitudes=amplitudes[used],
-        times_s=np.asarray(used * tick_s, dtype=np.float64),
+        amplitudes=amplitudes[used_ticks],
+        times_s=np.asarray(used_ticks * tick_s, dtype=np.float64),
         name=f"{shaper.name} on ticks",
     )
 
@@ -161,7 +161,7 @@ def _trains(
     centroid_shift: bool,
 ) -> _Trains:
     if isinstance(shaper, Shaper):
-        own = [shaper] * len(axes)
+        trains = [shaper] * len(axes)
     else:
         for name in shaper:
             if name not in axes:
@@ -169,59 +169,65 @@ def _trains(
                     f"shaper of axis {name!r}: the trajectory has axes {', '.join(axes)}",
                     remedy="Name one of them.",
                 )
-        own = [shaper.get(axis, UNSHAPED) for axis in axes]
+        trains = [shaper.get(axis, UNSHAPED) for axis in axes]
     if tick_s is not None:
-        own = [on_tick_grid(one, tick_s) for one in own]
-    for one in own:
-        if abs(float(one.amplitudes.sum()) - 1.0) > _UNIT_SUM:
+        trains = [on_tick_grid(train, tick_s) for train in trains]
+    for train in trains:
+        if abs(float(train.amplitudes.sum()) - 1.0) > _UNIT_SUM:
             raise OptionError(
-                f"shaper '{one.name}': amplitudes sum to {one.amplitudes.sum():.12g}; a shaped "
+                f"shaper '{train.name}': amplitudes sum to {train.amplitudes.sum():.12g}; a shaped "
                 "move ends where it was planned only if they sum to 1"
             )
-    latest = max(one.centroid_s for one in own)
-    shift = [latest - one.centroid_s if centroid_shift else 0.0 for one in own]
-    delays = np.concatenate([one.times_s + late for one, late in zip(own, shift, strict=True)])
-    ordered = np.sort(delays)
-    distinct = ordered[np.diff(ordered, prepend=-1.0) > _COINCIDENT_S]
+    latest_centroid_s = max(train.centroid_s for train in trains)
+    shifts_s = [latest_centroid_s - train.centroid_s if centroid_shift else 0.0 for train in trains]
+    delays = np.concatenate(
+        [train.times_s + shift_s for train, shift_s in zip(trains, shifts_s, strict=True)]
+    )
+    sorted_delays = np.sort(delays)
+    distinct = sorted_delays[np.diff(sorted_delays, prepend=-1.0) > _COINCIDENT_S]
     amplitudes = np.zeros((len(distinct), len(axes)))
-    for column, (one, late) in enumerate(zip(own, shift, strict=True)):
-        nearest = np.abs(distinct[None, :] - (one.times_s + late)[:, None]).argmin(axis=1)
-        np.add.at(amplitudes[:, column], nearest, one.amplitudes)
+    for column, (train, shift_s) in enumerate(zip(trains, shifts_s, strict=True)):
+        nearest_delay = np.abs(distinct[None, :] - (train.times_s + shift_s)[:, None]).argmin(
+            axis=1
+        )
+        np.add.at(amplitudes[:, column], nearest_delay, train.amplitudes)
     centroid_s = float((distinct @ amplitudes).mean())
     # The centroid of a train with negative impulses may lie outside the buffered pieces.
-    inside = min(max(0.0, centroid_s), float(distinct[-1]))
-    return _Trains(distinct, amplitudes, inside)
+    centroid_within_s = min(max(0.0, centroid_s), float(distinct[-1]))
+    return _Trains(distinct, amplitudes, centroid_within_s)
 
 
 def _convolved(trajectory: Trajectory, trains: _Trains) -> Iterator[TrajectoryBlock]:
     """Yield the shaped pieces; only pieces within the longest delay are buffered."""
-    longest = float(trains.delay_s[-1])
-    held: Pieces | None = None
+    longest_s = float(trains.delay_s[-1])
+    buffered: Pieces | None = None
     done = _Done()
-    for fresh in with_rests(iter(trajectory), longest):
-        if held is None:
-            held = _standing(fresh, begin=True, longest=longest)
-        held = joined(held, fresh)
-        yield from _pieces_until(held, trains, done, held.end_s, final=False)
-        first = int(np.searchsorted(held.start_s + held.duration_s, done.time_s - longest - 1e-9))
+    for new_pieces in with_rests(iter(trajectory), longest_s):
+        if buffered is None:
+            buffered = _standing(new_pieces, begin=True, longest=longest_s)
+        buffered = joined(buffered, new_pieces)
+        yield from _pieces_until(buffered, trains, done, buffered.end_s, final=False)
+        first = int(
+            np.searchsorted(buffered.start_s + buffered.duration_s, done.time_s - longest_s - 1e-9)
+        )
         # One more piece is kept: the piece before the first breakpoint that is not finished.
-        held = held.rows(max(0, first - 1), len(held))
-    if held is not None:
-        end_s = held.end_s
-        held = joined(held, _standing(held, begin=False, longest=longest))
-        yield from _pieces_until(held, trains, done, end_s + longest, final=True)
+        buffered = buffered.rows(max(0, first - 1), len(buffered))
+    if buffered is not None:
+        end_s = buffered.end_s
+        buffered = joined(buffered, _standing(buffered, begin=False, longest=longest_s))
+        yield from _pieces_until(buffered, trains, done, end_s + longest_s, final=True)
 
 
 def _standing(pieces: Pieces, *, begin: bool, longest: float) -> Pieces:
     """Return one piece at rest at the start or at the end of the trajectory."""
-    length = longest + 1.0
+    length_s = longest + 1.0
     coefficients = np.zeros((1, 1, pieces.coefficients.shape[2]))
     coefficients[0, 0] = pieces.coefficients[0, 0] if begin else pieces.coefficients[-1].sum(axis=0)
-    at_s = float(pieces.start_s[0]) - length if begin else pieces.end_s
+    start_s = float(pieces.start_s[0]) - length_s if begin else pieces.end_s
     row = 0 if begin else -1
     return Pieces(
-        np.array([at_s]),
-        np.array([length]),
+        np.array([start_s]),
+        np.array([length_s]),
         coefficients,
         pieces.operation[[row]],
         np.zeros(1, dtype=np.int64),
@@ -238,62 +244,64 @@ class _Done:
 
 
 def _pieces_until(
-    held: Pieces, trains: _Trains, done: _Done, until_s: float, *, final: bool
+    buffered: Pieces, trains: _Trains, done: _Done, until_s: float, *, final: bool
 ) -> Iterator[TrajectoryBlock]:
-    edges = _edges(held, trains.delay_s, done, until_s, final=final)
+    edges = _edges(buffered, trains.delay_s, done, until_s, final=final)
     for first in range(0, len(edges) - 1, _PIECES):
-        yield _block(held, trains, done, edges[first : first + _PIECES + 1])
+        yield _block(buffered, trains, done, edges[first : first + _PIECES + 1])
     done.time_s = float(edges[-1])
 
 
 def _edges(
-    held: Pieces, delay_s: FloatArray, done: _Done, until_s: float, *, final: bool
+    buffered: Pieces, delay_s: FloatArray, done: _Done, until_s: float, *, final: bool
 ) -> FloatArray:
     """Return (n,) breakpoints, s: the last one of the finished part, and those after it.
 
     Of breakpoints that coincide only the first is kept. All breakpoints up to ``until_s`` are
     known, so the result does not depend on the blocks of the trajectory.
     """
-    still = held.still
+    still = buffered.still
     # The joint of two pieces at rest is no breakpoint.
-    bends = np.concatenate([[False], ~(still[1:] & still[:-1])])
-    source = held.start_s[bends]
-    edges = np.add.outer(source, delay_s).ravel()
+    breakpoints = np.concatenate([[False], ~(still[1:] & still[:-1])])
+    source_s = buffered.start_s[breakpoints]
+    edges = np.add.outer(source_s, delay_s).ravel()
     edges = np.sort(edges[(edges > done.edge_s) & (edges <= until_s)])
-    close = np.maximum(_COINCIDENT_S, 4.0 * np.spacing(edges))
-    kept = edges[np.diff(edges, prepend=done.edge_s) > close]
+    merge_distance_s = np.maximum(_COINCIDENT_S, 4.0 * np.spacing(edges))
+    kept_edges = edges[np.diff(edges, prepend=done.edge_s) > merge_distance_s]
     if len(edges):
         done.edge_s = float(edges[-1])
-    kept = np.concatenate([[done.time_s], kept])
-    if final and kept[-1] < until_s:
-        if len(kept) > 1 and until_s - kept[-1] <= max(_COINCIDENT_S, 4.0 * np.spacing(until_s)):
-            kept[-1] = until_s
+    kept_edges = np.concatenate([[done.time_s], kept_edges])
+    if final and kept_edges[-1] < until_s:
+        if len(kept_edges) > 1 and until_s - kept_edges[-1] <= max(
+            _COINCIDENT_S, 4.0 * np.spacing(until_s)
+        ):
+            kept_edges[-1] = until_s
         else:
-            kept = np.append(kept, until_s)
-    return np.asarray(kept)
+            kept_edges = np.append(kept_edges, until_s)
+    return np.asarray(kept_edges)
 
 
-def _block(held: Pieces, trains: _Trains, done: _Done, edges: FloatArray) -> TrajectoryBlock:
+def _block(buffered: Pieces, trains: _Trains, done: _Done, edges: FloatArray) -> TrajectoryBlock:
     start, duration = edges[:-1], np.diff(edges)
     middle = start + 0.5 * duration
-    order = held.coefficients.shape[1]
-    coefficients = np.zeros((len(start), order, held.coefficients.shape[2]))
+    order = buffered.coefficients.shape[1]
+    coefficients = np.zeros((len(start), order, buffered.coefficients.shape[2]))
     for delay, weights in zip(trains.delay_s, trains.amplitudes, strict=True):
-        at = _piece_at(held, middle - delay)
-        begin = ((start - delay) - held.start_s[at]) / held.duration_s[at]
-        scale = duration / held.duration_s[at]
-        coefficients += weights * _shifted(held.coefficients[at], begin, scale)
+        piece = _piece_at(buffered, middle - delay)
+        begin_share = ((start - delay) - buffered.start_s[piece]) / buffered.duration_s[piece]
+        scale = duration / buffered.duration_s[piece]
+        coefficients += weights * _shifted(buffered.coefficients[piece], begin_share, scale)
     return TrajectoryBlock(
         start_s=start,
         duration_s=duration,
         coefficients=coefficients,
-        operation=_operations(held, trains.centroid_s, done, middle),
+        operation=_operations(buffered, trains.centroid_s, done, middle),
     )
 
 
-def _piece_at(held: Pieces, time_s: FloatArray) -> IntArray:
-    at = np.searchsorted(held.start_s, time_s, side="right") - 1
-    return np.asarray(np.clip(at, 0, len(held) - 1), dtype=np.int64)
+def _piece_at(buffered: Pieces, time_s: FloatArray) -> IntArray:
+    piece = np.searchsorted(buffered.start_s, time_s, side="right") - 1
+    return np.asarray(np.clip(piece, 0, len(buffered) - 1), dtype=np.int64)
 
 
 def _shifted(coefficients: FloatArray, begin: FloatArray, scale: FloatArray) -> FloatArray:
@@ -312,12 +320,14 @@ def _shifted(coefficients: FloatArray, begin: FloatArray, scale: FloatArray) -> 
     return result
 
 
-def _operations(held: Pieces, centroid_s: float, done: _Done, middle: FloatArray) -> IntArray:
+def _operations(buffered: Pieces, centroid_s: float, done: _Done, middle: FloatArray) -> IntArray:
     """Return (n,) operations: at the centroid of the train, but not before the latest rest."""
-    runs = np.concatenate([[done.run_s], held.start_s[held.run == 1]])
-    runs = np.sort(runs)
-    begun = runs[np.maximum(np.searchsorted(runs, middle, side="right") - 1, 0)]
-    done.run_s = max(done.run_s, float(begun[-1]))
+    run_starts_s = np.concatenate([[done.run_s], buffered.start_s[buffered.run == 1]])
+    run_starts_s = np.sort(run_starts_s)
+    run_start_s = run_starts_s[
+        np.maximum(np.searchsorted(run_starts_s, middle, side="right") - 1, 0)
+    ]
+    done.run_s = max(done.run_s, float(run_start_s[-1]))
     # A rounding is added, so that the instant falls into the piece that starts there.
-    inside = begun + 4.0 * np.spacing(np.abs(begun))
-    return held.operation[_piece_at(held, np.maximum(middle - centroid_s, inside))]
+    earliest_s = run_start_s + 4.0 * np.spacing(np.abs(run_start_s))
+    return buffered.operation[_piece_at(buffered, np.maximum(middle - centroid_s, earliest_s))]

@@ -66,12 +66,12 @@ class Humps:
 def _unpack(x: FloatArray, humps: int, amplitudes: FloatArray | None) -> Humps:
     n = humps + 2 if amplitudes is None else 2 * humps + 3
     times = np.concatenate(([0.0], x[: n - 1]))
-    rest = x[n - 1 :]
+    other_unknowns = x[n - 1 :]
     if amplitudes is None:
-        amplitudes, rest = rest[:n], rest[n:]
+        amplitudes, other_unknowns = other_unknowns[:n], other_unknowns[n:]
     # The middle zero (even k) or maximum (odd k) is at the modelled frequency, and no unknown.
     unknown_zeros = humps + humps % 2
-    zeros, peaks = rest[:unknown_zeros], rest[unknown_zeros:]
+    zeros, peaks = other_unknowns[:unknown_zeros], other_unknowns[unknown_zeros:]
     if humps % 2:
         peaks = np.insert(peaks, humps // 2, 1.0)
     else:
@@ -140,10 +140,10 @@ def positive_humps(humps: int, zeta: float, tolerance: float) -> Humps:
     try:
         return _unpack(_damped(humps, zeta, tolerance, what), humps, None)
     except ShaperError:
-        found = _beyond(humps, zeta, tolerance, what)
-        if found is None:
+        humps_found = _beyond(humps, zeta, tolerance, what)
+        if humps_found is None:
             raise
-        return found
+        return humps_found
 
 
 def _damped(humps: int, zeta: float, tolerance: float, what: str) -> FloatArray:
@@ -166,15 +166,15 @@ def _beyond(humps: int, zeta: float, tolerance: float, what: str) -> Humps | Non
     """
     from scipy.optimize import least_squares
 
-    near = None
+    less_damped = None
     for share in _LESS_DAMPED:
         with suppress(ShaperError):
-            near = _damped(humps, share * zeta, tolerance, what)
+            less_damped = _damped(humps, share * zeta, tolerance, what)
             break
-    if near is None:
+    if less_damped is None:
         return None
     # The last unknowns are the zeros, then the maxima, both without a fixed middle one.
-    last = len(near) - (humps - humps % 2) - 1
+    last_zero = len(less_damped) - (humps - humps % 2) - 1
     system = _system(humps, zeta, tolerance, None)
 
     def residual(y: FloatArray) -> FloatArray:
@@ -184,8 +184,8 @@ def _beyond(humps: int, zeta: float, tolerance: float, what: str) -> Humps | Non
         return system(y)[1]
 
     for factor in _LAST_ZERO:
-        seed = near.copy()
-        seed[last] *= factor
+        seed = less_damped.copy()
+        seed[last_zero] *= factor
         with np.errstate(over="ignore", invalid="ignore"), suppress(ValueError, OverflowError):
             x = least_squares(
                 residual,
@@ -196,18 +196,18 @@ def _beyond(humps: int, zeta: float, tolerance: float, what: str) -> Humps | Non
                 gtol=1e-15,
                 max_nfev=_MOST_ROUNDS,
             ).x
-            found = _unpack(np.asarray(x, dtype=np.float64), humps, None)
+            candidate = _unpack(np.asarray(x, dtype=np.float64), humps, None)
             # Zeros and maxima must alternate; a zero and a maximum at one frequency are no hump.
-            between = np.empty(2 * humps + 1)
-            between[::2], between[1::2] = found.zeros, found.peaks
-            sound = (
+            zeros_and_peaks = np.empty(2 * humps + 1)
+            zeros_and_peaks[::2], zeros_and_peaks[1::2] = candidate.zeros, candidate.peaks
+            is_valid = (
                 float(np.abs(system(x)[0]).max()) < RESIDUAL
-                and bool(np.all(np.diff(found.times) > 0.0))
-                and bool(np.all(found.amplitudes > 0.0))
-                and bool(np.all(np.diff(between) > 1e-3))
+                and bool(np.all(np.diff(candidate.times) > 0.0))
+                and bool(np.all(candidate.amplitudes > 0.0))
+                and bool(np.all(np.diff(zeros_and_peaks) > 1e-3))
             )
-            if sound:
-                return found
+            if is_valid:
+                return candidate
     return None
 
 
@@ -304,13 +304,15 @@ def modified_zv(zeta: float, n: int = 3, lasts: float = 0.75) -> Train:
             f"(n - 1) / 2 = {0.5 * (n - 1):g}",
             remedy="Take more impulses, or less time.",
         )
-    first = 2.0 * math.pi * lasts / (n - 1)
-    roots = np.exp(1j * np.linspace(first, 2.0 * math.pi - first, n - 1))
-    plain = np.real(np.poly(roots))
-    at = np.arange(n, dtype=np.float64) * lasts / (n - 1)
-    used = plain > 1e-12
-    weights: FloatArray = plain[used] * _decay(zeta, lasts / (n - 1)) ** np.flatnonzero(used)
-    return weights / float(weights.sum()), at[used] * _damped_period(zeta)
+    first_angle = 2.0 * math.pi * lasts / (n - 1)
+    roots = np.exp(1j * np.linspace(first_angle, 2.0 * math.pi - first_angle, n - 1))
+    undamped = np.real(np.poly(roots))
+    periods = np.arange(n, dtype=np.float64) * lasts / (n - 1)
+    nonzero = undamped > 1e-12
+    weights: FloatArray = undamped[nonzero] * _decay(zeta, lasts / (n - 1)) ** np.flatnonzero(
+        nonzero
+    )
+    return weights / float(weights.sum()), periods[nonzero] * _damped_period(zeta)
 
 
 def _zero_system(order: int, zeta: float, amplitudes: FloatArray) -> System:

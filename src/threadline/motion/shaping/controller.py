@@ -178,30 +178,36 @@ def realise(
     _check_times(shaper, modes, limits)
     amplitudes, times = _thinned(shaper, limits)
     gap = max(1, math.ceil(limits.dwell_s / limits.tick_s - 1e-9))
-    halves = relative if isinstance(relative, Sequence) else (relative,) * len(modes)
-    of_modes = zip(modes, halves, _each(tolerance, modes), strict=True)
-    bands = [_band(shaper, *one) for one in of_modes]
+    half_widths = relative if isinstance(relative, Sequence) else (relative,) * len(modes)
+    mode_settings = zip(modes, half_widths, _each(tolerance, modes), strict=True)
+    bands = [_band(shaper, *settings) for settings in mode_settings]
     exact = times / limits.tick_s
     nearest = _merged(amplitudes, np.rint(exact).astype(np.int64), gap)
-    apart = _spaced(np.rint(exact).astype(np.int64), gap)
+    spaced_ticks = _spaced(np.rint(exact).astype(np.int64), gap)
     grid = TickGrid(bands, limits.tick_s, int(nearest[1][-1]))
 
     def train(weights: FloatArray, ticks: IntArray) -> Shaper:
         return Shaper(amplitudes=weights, times_s=seconds(ticks, limits.tick_s), name=shaper.name)
 
     if limits.amplitudes_free:
-        silent = [m for m in modes if vibration_of(shaper, m) < _SILENT]
-        starts = [nearest[1], *_fewer(shaper, limits, gap)]
+        silent_modes = [m for m in modes if vibration_of(shaper, m) < _SILENT]
+        start_ticks = [nearest[1], *_fewer(shaper, limits, gap)]
         positive = bool(np.all(shaper.amplitudes >= 0.0))
-        found = [with_amplitudes(starts, gap, grid, silent, limits.tick_s, positive=positive)]
+        candidates = [
+            with_amplitudes(start_ticks, gap, grid, silent_modes, limits.tick_s, positive=positive)
+        ]
     else:
-        of_merged = exact if len(apart) == len(nearest[1]) else nearest[1].astype(np.float64)
-        found = [(nearest[0], t) for t in on_ticks(*nearest, of_merged, gap, grid)]
-        if len(apart) > len(nearest[1]):
+        merged_exact = (
+            exact if len(spaced_ticks) == len(nearest[1]) else nearest[1].astype(np.float64)
+        )
+        candidates = [(nearest[0], t) for t in on_ticks(*nearest, merged_exact, gap, grid)]
+        if len(spaced_ticks) > len(nearest[1]):
             # If nearest ticks coincide, trains with merged and with separated impulses are tried.
-            found += [(amplitudes, t) for t in on_ticks(amplitudes, apart, exact, gap, grid)]
-    made = _widest(train(*nearest), [train(*pair) for pair in found], bands)
-    return _priced(shaper, train(*nearest), made, bands, limits)
+            candidates += [
+                (amplitudes, t) for t in on_ticks(amplitudes, spaced_ticks, exact, gap, grid)
+            ]
+    best_train = _widest(train(*nearest), [train(*pair) for pair in candidates], bands)
+    return _priced(shaper, train(*nearest), best_train, bands, limits)
 
 
 def _check_times(shaper: Shaper, modes: Sequence[FlexibleMode], limits: ControllerLimits) -> None:
@@ -233,8 +239,8 @@ def _band(shaper: Shaper, mode: FlexibleMode, relative: float | None, tolerance:
     if relative is not None:
         f = mode.frequency_hz
         return Band(mode, f * (1.0 - relative), f * (1.0 + relative), tolerance)
-    own = insensitivity(shaper, mode, tolerance)
-    return Band(mode, own.low_hz, own.high_hz, tolerance)
+    band_range = insensitivity(shaper, mode, tolerance)
+    return Band(mode, band_range.low_hz, band_range.high_hz, tolerance)
 
 
 def _each(value: float | Sequence[float], modes: Sequence[FlexibleMode]) -> Sequence[float]:
@@ -254,30 +260,34 @@ def _widest(nearest: Shaper, trains: Sequence[Shaper], bands: Sequence[Band]) ->
     cost, the best first.
     """
 
-    def over(train: Shaper) -> FloatArray:
+    def worst_by_band(train: Shaper) -> FloatArray:
         return np.array([_over(train, band, nearest.duration_s).max() for band in bands])
 
     allowed = np.array([band.tolerance for band in bands])
-    ceiling = np.maximum(over(nearest), allowed) * (1.0 + 1e-12)
-    seen = [over(train) for train in trains]
-    most = float((over(nearest) / allowed).max())
+    ceiling = np.maximum(worst_by_band(nearest), allowed) * (1.0 + 1e-12)
+    worsts = [worst_by_band(train) for train in trains]
+    nearest_share = float((worst_by_band(nearest) / allowed).max())
     shares = {
         k: float((worst / allowed).max())
-        for k, worst in enumerate(seen)
-        if np.all(worst <= ceiling) and (worst / allowed).max() <= most * (1.0 + 1e-12)
+        for k, worst in enumerate(worsts)
+        if np.all(worst <= ceiling) and (worst / allowed).max() <= nearest_share * (1.0 + 1e-12)
     }
-    floor = np.array([_width(nearest, band) for band in bands])
+    nearest_widths = np.array([_width(nearest, band) for band in bands])
 
     def wide_enough(widths: FloatArray, share: float, slack: float) -> bool:
         # If V is within the tolerance, a smaller V does not justify a narrower band.
-        needed = floor * min(1.0, max(share, 1.0) / max(most, 1.0))
+        needed = nearest_widths * min(1.0, max(share, 1.0) / max(nearest_share, 1.0))
         return bool(np.all(widths >= needed * (1.0 - slack)))
 
-    about = {
+    sampled_widths = {
         k: np.array([_width_on_samples(trains[k], band, nearest) for band in bands]) for k in shares
     }
     # A width from samples is accurate to one sample distance; the decision below uses exact widths.
-    likely = [k for k in shares if wide_enough(np.minimum(about[k], floor), shares[k], 0.1)]
+    likely = [
+        k
+        for k in shares
+        if wide_enough(np.minimum(sampled_widths[k], nearest_widths), shares[k], 0.1)
+    ]
     if not likely:
         return nearest
     widths = {}
@@ -287,27 +297,33 @@ def _widest(nearest: Shaper, trains: Sequence[Shaper], bands: Sequence[Band]) ->
             break
     else:
         return nearest
-    within = min(most * (1.0 + 1e-12), shares[k] + _ABOUT * max(1.0, shares[k]))
-    order = [k for k in likely if shares[k] <= within]
-    if len(order) > _LOOKED_AT:
-        order = sorted(sorted(order, key=lambda k: -about[k].min())[:_LOOKED_AT])
-    best, widest = nearest, 0.0
-    for k in order:
+    share_limit = min(nearest_share * (1.0 + 1e-12), shares[k] + _ABOUT * max(1.0, shares[k]))
+    examined = [k for k in likely if shares[k] <= share_limit]
+    if len(examined) > _LOOKED_AT:
+        examined = sorted(sorted(examined, key=lambda k: -sampled_widths[k].min())[:_LOOKED_AT])
+    best_train, best_width = nearest, 0.0
+    for k in examined:
         if k not in widths:
             widths[k] = np.array([_width(trains[k], band) for band in bands])
         if wide_enough(widths[k], shares[k], 1e-9) and (
-            best is nearest or widths[k].min() > widest + _WIDER
+            best_train is nearest or widths[k].min() > best_width + _WIDER
         ):
-            best, widest = trains[k], float(widths[k].min())
-    return best
+            best_train, best_width = trains[k], float(widths[k].min())
+    return best_train
 
 
 def _width_on_samples(train: Shaper, band: Band, nearest: Shaper) -> float:
     """Return about the width of the band in which V keeps the tolerance, over the frequency."""
     f = band.samples_hz(nearest.duration_s, finer=_FINER)
-    loud = f[_over(train, band, nearest.duration_s) > band.tolerance]
-    own = band.mode.frequency_hz
-    return float(min(loud[loud >= own], default=f[-1]) - max(loud[loud <= own], default=f[0])) / own
+    loud_hz = f[_over(train, band, nearest.duration_s) > band.tolerance]
+    mode_hz = band.mode.frequency_hz
+    return (
+        float(
+            min(loud_hz[loud_hz >= mode_hz], default=f[-1])
+            - max(loud_hz[loud_hz <= mode_hz], default=f[0])
+        )
+        / mode_hz
+    )
 
 
 def _over(train: Shaper, band: Band, duration_s: float) -> FloatArray:
@@ -350,12 +366,16 @@ def _priced(
 
 def _fewer(shaper: Shaper, limits: ControllerLimits, gap: int) -> list[IntArray]:
     """Return the ticks of every choice of ``max_impulses`` impulses; empty if all may stay."""
-    most, n = limits.max_impulses, len(shaper.times_s)
-    if most is None or most >= n or math.comb(n - 1, most - 1) > _CHOICES:
+    impulse_limit, n = limits.max_impulses, len(shaper.times_s)
+    if (
+        impulse_limit is None
+        or impulse_limit >= n
+        or math.comb(n - 1, impulse_limit - 1) > _CHOICES
+    ):
         return []
     ticks = np.rint(shaper.times_s / limits.tick_s).astype(np.int64)
-    chosen = (ticks[[0, *rest]] for rest in itertools.combinations(range(1, n), most - 1))
-    return [some for some in chosen if np.diff(some).min() >= gap]
+    choices = (ticks[[0, *rest]] for rest in itertools.combinations(range(1, n), impulse_limit - 1))
+    return [choice for choice in choices if np.diff(choice).min() >= gap]
 
 
 def _merged(amplitudes: FloatArray, ticks: IntArray, gap: int) -> tuple[FloatArray, IntArray]:
@@ -363,16 +383,16 @@ def _merged(amplitudes: FloatArray, ticks: IntArray, gap: int) -> tuple[FloatArr
     if gap > 1:
         return amplitudes, _spaced(ticks, gap)
     starts = np.concatenate(([0], np.flatnonzero(np.diff(ticks)) + 1))
-    sums, kept = np.add.reduceat(amplitudes, starts), ticks[starts]
-    some = np.abs(sums) > _NONE
-    some[0] = True
-    return sums[some], kept[some]
+    sums, kept_ticks = np.add.reduceat(amplitudes, starts), ticks[starts]
+    nonzero = np.abs(sums) > _NONE
+    nonzero[0] = True
+    return sums[nonzero], kept_ticks[nonzero]
 
 
 def _thinned(shaper: Shaper, limits: ControllerLimits) -> tuple[FloatArray, FloatArray]:
     a, t = shaper.amplitudes.copy(), shaper.times_s.copy()
-    most = limits.max_impulses
-    while most is not None and len(a) > most:
+    impulse_limit = limits.max_impulses
+    while impulse_limit is not None and len(a) > impulse_limit:
         if bool(np.all(a >= 0.0)):
             # The neighbours share an inner impulse, such that the centroid stays unchanged.
             i = 1 + int(np.argmin(a[1:-1]))
@@ -381,13 +401,13 @@ def _thinned(shaper: Shaper, limits: ControllerLimits) -> tuple[FloatArray, Floa
             a[i + 1] += (1.0 - share) * a[i]
             a, t = np.delete(a, i), np.delete(t, i)
             continue
-        opposite = [i for i in range(1, len(a) - 1) if abs(a[i] + a[i + 1]) < 1e-12]
-        if len(a) - 2 < 2 or not opposite:
+        opposite_pairs = [i for i in range(1, len(a) - 1) if abs(a[i] + a[i + 1]) < 1e-12]
+        if len(a) - 2 < 2 or not opposite_pairs:
             raise ShaperError(
-                f"shaper '{shaper.name}': {len(a)} impulses can't be cut to {most}",
+                f"shaper '{shaper.name}': {len(a)} impulses can't be cut to {impulse_limit}",
                 remedy="Choose a kind with fewer impulses.",
             )
-        i = min(opposite, key=lambda k: float(t[k + 1] - t[k]))
+        i = min(opposite_pairs, key=lambda k: float(t[k + 1] - t[k]))
         a, t = np.delete(a, [i, i + 1]), np.delete(t, [i, i + 1])
     return a, t
 

@@ -53,11 +53,12 @@ def check_apart(modes: Sequence[FlexibleMode]) -> None:
     OptionError
         If the highest frequency is more than ``MOST_APART`` times the lowest.
     """
-    found = sorted(mode.frequency_hz for mode in modes)
-    if found and found[-1] > MOST_APART * found[0]:
+    found_hz = sorted(mode.frequency_hz for mode in modes)
+    if found_hz and found_hz[-1] > MOST_APART * found_hz[0]:
         raise OptionError(
-            f"modes at {found[0]:g} Hz and {found[-1]:g} Hz: the ratio {found[-1] / found[0]:.4g} "
-            f"is beyond {MOST_APART:g}, and no controller plays one train for both",
+            f"modes at {found_hz[0]:g} Hz and {found_hz[-1]:g} Hz: the ratio "
+            f"{found_hz[-1] / found_hz[0]:.4g} is beyond {MOST_APART:g}, and no "
+            "controller plays one train for both",
             remedy="Check their units, or shape one of them and leave out the other.",
         )
 
@@ -103,14 +104,14 @@ def convolve(*shapers: Shaper, name: str = "") -> Shaper:
     if not shapers:
         raise OptionError("convolution: at least one shaper is needed")
     amplitudes, times = shapers[0].amplitudes, shapers[0].times_s
-    for other in shapers[1:]:
-        if len(times) * len(other.times_s) > MOST_IMPULSES:
+    for factor in shapers[1:]:
+        if len(times) * len(factor.times_s) > MOST_IMPULSES:
             raise ShaperError(
                 f"convolution of {len(shapers)} shapers: more than {MOST_IMPULSES} impulses",
                 remedy="Shape fewer modes, or all at once with the kind direct.",
             )
-        amplitudes = np.outer(amplitudes, other.amplitudes).ravel()
-        times = np.add.outer(times, other.times_s).ravel()
+        amplitudes = np.outer(amplitudes, factor.amplitudes).ravel()
+        times = np.add.outer(times, factor.times_s).ravel()
         order = np.argsort(times, kind="stable")
         amplitudes, times = amplitudes[order], times[order]
         starts = np.concatenate(([0], np.flatnonzero(np.diff(times) > COINCIDENT_S) + 1))
@@ -197,13 +198,13 @@ def prove(
         raise ShaperError(
             f"shaper '{shaper.name}': amplitudes sum to {shaper.amplitudes.sum()!r}, not to 1"
         )
-    for f, claim in zip(frequency_hz, expected, strict=True):
-        found = simulated_vibration(shaper, float(f), damping_ratio)
-        error = found - float(claim)
+    for f, claimed in zip(frequency_hz, expected, strict=True):
+        simulated = simulated_vibration(shaper, float(f), damping_ratio)
+        error = simulated - float(claimed)
         if error > PROOF_TOLERANCE or (not at_most and error < -PROOF_TOLERANCE):
             raise ShaperError(
                 f"shaper '{shaper.name}': simulated vibration at {f:.6g} Hz, damping "
-                f"{damping_ratio:g}, is {found:.3e}; the design claims {float(claim):.3e}",
+                f"{damping_ratio:g}, is {simulated:.3e}; the design claims {float(claimed):.3e}",
                 remedy="Change the tolerance, the damping or the kind of shaper.",
             )
     return shaper
@@ -289,12 +290,12 @@ def design(
     shape = mzv_shape(str(kind))
     if shape is not None:
         amplitudes, periods = modified_zv(mode.damping_ratio, *shape)
-        made = Shaper(
+        modified = Shaper(
             amplitudes=amplitudes, times_s=periods / mode.frequency_hz, name=str(kind).strip()
         )
-        return prove(made, np.array([mode.frequency_hz]), mode.damping_ratio, np.zeros(1))
+        return prove(modified, np.array([mode.frequency_hz]), mode.damping_ratio, np.zeros(1))
     try:
-        chosen = ShaperKind(kind)
+        chosen_kind = ShaperKind(kind)
     except ValueError:
         raise OptionError(
             f"shaper kind {str(kind)!r} is unknown",
@@ -303,26 +304,31 @@ def design(
     if not 0.0 < tolerance < 0.5:
         raise OptionError(f"shaper tolerance must be in (0, 0.5), got {tolerance!r}")
     zeta = mode.damping_ratio
-    if chosen not in _POSITIVE_ORDER and chosen is not ShaperKind.MZV:
-        mode.refuse_much_damping(f"shaper '{chosen}'")
-    if chosen in _POSITIVE_HUMPS:
+    if chosen_kind not in _POSITIVE_ORDER and chosen_kind is not ShaperKind.MZV:
+        mode.refuse_much_damping(f"shaper '{chosen_kind}'")
+    if chosen_kind in _POSITIVE_HUMPS:
         return _proved_humps(
-            chosen, mode, positive_humps(_POSITIVE_HUMPS[chosen], zeta, tolerance), tolerance
+            chosen_kind,
+            mode,
+            positive_humps(_POSITIVE_HUMPS[chosen_kind], zeta, tolerance),
+            tolerance,
         )
-    if chosen in _SWITCHED_HUMPS:
-        humps = _SWITCHED_HUMPS[chosen]
-        amplitudes = _switched_amplitudes(chosen, 2 * humps + 3, over_level)
+    if chosen_kind in _SWITCHED_HUMPS:
+        humps = _SWITCHED_HUMPS[chosen_kind]
+        amplitudes = _switched_amplitudes(chosen_kind, 2 * humps + 3, over_level)
         return _proved_humps(
-            chosen, mode, switched_humps(humps, zeta, tolerance, amplitudes), tolerance
+            chosen_kind, mode, switched_humps(humps, zeta, tolerance, amplitudes), tolerance
         )
-    if chosen in _SWITCHED_ORDER:
-        order = _SWITCHED_ORDER[chosen]
-        train = switched_zero(order, zeta, _switched_amplitudes(chosen, 2 * order + 3, over_level))
-    elif chosen in _POSITIVE_ORDER:
-        train = binomial(_POSITIVE_ORDER[chosen], zeta)
+    if chosen_kind in _SWITCHED_ORDER:
+        order = _SWITCHED_ORDER[chosen_kind]
+        train = switched_zero(
+            order, zeta, _switched_amplitudes(chosen_kind, 2 * order + 3, over_level)
+        )
+    elif chosen_kind in _POSITIVE_ORDER:
+        train = binomial(_POSITIVE_ORDER[chosen_kind], zeta)
     else:
         train = modified_zv(zeta)
-    return _proved_zero(chosen, mode, train)
+    return _proved_zero(chosen_kind, mode, train)
 
 
 _MZV_WORDS = ("n", "t", "tau")
@@ -341,21 +347,21 @@ def mzv_shape(word: str) -> tuple[int, float] | None:
     OptionError
         If a parameter is unknown, no number, or ``t`` and ``tau`` are both given.
     """
-    found = re.fullmatch(r"\s*mzv\s*\((.*)\)\s*", word)
-    if found is None:
+    match = re.fullmatch(r"\s*mzv\s*\((.*)\)\s*", word)
+    if match is None:
         return None
-    given: dict[str, float] = {}
-    parts = [part.strip() for part in found[1].split(",") if part.strip()]
-    for place, part in enumerate(parts):
+    parameters: dict[str, float] = {}
+    parts = [part.strip() for part in match[1].split(",") if part.strip()]
+    for index, part in enumerate(parts):
         name, equals, value = part.rpartition("=")
-        name = name.strip() if equals else _MZV_WORDS[place] if place < 3 else part
-        if name not in _MZV_WORDS or name in given:
+        name = name.strip() if equals else _MZV_WORDS[index] if index < 3 else part
+        if name not in _MZV_WORDS or name in parameters:
             raise OptionError(
                 f"shaper kind {word!r}: {part!r} is unknown or said twice",
                 remedy='Write it like "mzv(n=4,t=0.9)" or "mzv(n=5,tau=1)".',
             )
-        given[name] = _number(value.strip(), name, word)
-    n, t, tau = given.get("n", 3.0), given.get("t", 0.0), given.get("tau", 0.0)
+        parameters[name] = _number(value.strip(), name, word)
+    n, t, tau = parameters.get("n", 3.0), parameters.get("t", 0.0), parameters.get("tau", 0.0)
     if not 3.0 <= n <= _MOST_OF_MZV or n != int(n):
         raise OptionError(
             f"shaper kind {word!r}: n must be a whole number from 3 to {_MOST_OF_MZV}, got {n:g}"
@@ -391,15 +397,15 @@ def _shaper(kind: ShaperKind, mode: FlexibleMode, train: Train) -> Shaper:
 
 
 def _proved_zero(kind: ShaperKind, mode: FlexibleMode, train: Train) -> Shaper:
-    at = np.array([mode.frequency_hz])
-    return prove(_shaper(kind, mode, train), at, mode.damping_ratio, np.zeros(1))
+    mode_hz = np.array([mode.frequency_hz])
+    return prove(_shaper(kind, mode, train), mode_hz, mode.damping_ratio, np.zeros(1))
 
 
 def _proved_humps(kind: ShaperKind, mode: FlexibleMode, humps: Humps, tolerance: float) -> Shaper:
     shaper = _shaper(kind, mode, (humps.amplitudes, humps.times))
-    named = np.concatenate((humps.zeros, humps.peaks))
+    frequencies = np.concatenate((humps.zeros, humps.peaks))
     claims = np.concatenate((np.zeros(len(humps.zeros)), np.full(len(humps.peaks), tolerance)))
-    prove(shaper, named * mode.frequency_hz, mode.damping_ratio, claims)
+    prove(shaper, frequencies * mode.frequency_hz, mode.damping_ratio, claims)
     # Between the zeros V must not exceed the requested height of the humps.
     band = np.linspace(humps.zeros[0], humps.zeros[-1], _BAND_SAMPLES) * mode.frequency_hz
     return prove(shaper, band, mode.damping_ratio, np.full(_BAND_SAMPLES, tolerance), at_most=True)
@@ -428,17 +434,17 @@ def parse_shaper(text: str, tick_s: float | None = None) -> Shaper | dict[str, S
     """
     # A comma in brackets separates parameters of a kind, not axes.
     parts = [part.strip() for part in re.split(r",(?![^()]*\))", text)]
-    named = [re.fullmatch(r"([A-Z])\s*=\s*(.+)", part) for part in parts]
-    if not any(named) and len(parts) == 1:
+    axis_matches = [re.fullmatch(r"([A-Z])\s*=\s*(.+)", part) for part in parts]
+    if not any(axis_matches) and len(parts) == 1:
         return _convolution(parts[0], tick_s)
-    found: dict[str, Shaper] = {}
-    for part, match in zip(parts, named, strict=True):
+    shapers: dict[str, Shaper] = {}
+    for part, match in zip(parts, axis_matches, strict=True):
         if match is None:
             raise OptionError(f"shaper {text!r}: {part!r} has no axis before it", remedy=_REMEDY)
-        if match[1] in found:
+        if match[1] in shapers:
             raise OptionError(f"shaper {text!r}: axis {match[1]} has two", remedy=_REMEDY)
-        found[match[1]] = _convolution(match[2], tick_s)
-    return found
+        shapers[match[1]] = _convolution(match[2], tick_s)
+    return shapers
 
 
 def parse_mode_hz(text: str) -> float:

@@ -97,55 +97,55 @@ def with_rests(blocks: Iterator[TrajectoryBlock], hold_s: float) -> Iterator[Pie
     has a piece at standstill, such as a dwell, the piece is prolonged; otherwise a piece is
     inserted.
     """
-    last: Pieces | None = None
-    late_s = 0.0
+    held_back: Pieces | None = None
+    delay_s = 0.0
     for block in blocks:
         if not len(block):
             continue
-        fresh = Pieces(
-            block.start_s + late_s,
+        block_pieces = Pieces(
+            block.start_s + delay_s,
             block.duration_s,
             block.coefficients,
             block.operation,
             np.zeros(len(block), dtype=np.int64),
         )
-        pieces = joined(last, fresh)
+        pieces = joined(held_back, block_pieces)
         if hold_s > 0.0:
             pieces, added_s = _prolonged_rests(pieces, hold_s)
-            late_s += added_s
+            delay_s += added_s
         # The last piece is held back, because the next block may show that it must be prolonged.
         if len(pieces) > 1:
             yield pieces.rows(0, len(pieces) - 1)
-        last = pieces.rows(len(pieces) - 1, len(pieces))
-    if last is not None:
-        yield last
+        held_back = pieces.rows(len(pieces) - 1, len(pieces))
+    if held_back is not None:
+        yield held_back
 
 
 def _prolonged_rests(pieces: Pieces, hold_s: float) -> tuple[Pieces, float]:
     """Return the pieces with their rests prolonged, and the total added time."""
-    after = np.flatnonzero(_rest_before(pieces))
-    if not len(after):
+    rest_ends = np.flatnonzero(_rest_before(pieces))
+    if not len(rest_ends):
         return pieces, 0.0
     duration = np.array(pieces.duration_s)
     run = np.array(pieces.run)
-    run[after] = 1
+    run[rest_ends] = 1
     still = pieces.still
-    longer = after[still[after - 1]]
-    duration[longer - 1] += hold_s
-    steps = np.zeros(len(pieces))
-    steps[after] = hold_s
-    start = pieces.start_s + np.cumsum(steps)
-    new = after[~still[after - 1]]
-    held = np.zeros((len(new), *pieces.coefficients.shape[1:]))
-    held[:, 0] = pieces.coefficients[new - 1].sum(axis=1)
+    standing_rests = rest_ends[still[rest_ends - 1]]
+    duration[standing_rests - 1] += hold_s
+    delays_s = np.zeros(len(pieces))
+    delays_s[rest_ends] = hold_s
+    start = pieces.start_s + np.cumsum(delays_s)
+    inserted = rest_ends[~still[rest_ends - 1]]
+    standstill = np.zeros((len(inserted), *pieces.coefficients.shape[1:]))
+    standstill[:, 0] = pieces.coefficients[inserted - 1].sum(axis=1)
     stretched = Pieces(
-        np.insert(start, new, start[new] - hold_s),
-        np.insert(duration, new, hold_s),
-        np.insert(pieces.coefficients, new, held, axis=0),
-        np.insert(pieces.operation, new, pieces.operation[new - 1]),
-        np.insert(run, new, 0),
+        np.insert(start, inserted, start[inserted] - hold_s),
+        np.insert(duration, inserted, hold_s),
+        np.insert(pieces.coefficients, inserted, standstill, axis=0),
+        np.insert(pieces.operation, inserted, pieces.operation[inserted - 1]),
+        np.insert(run, inserted, 0),
     )
-    return stretched, hold_s * len(after)
+    return stretched, hold_s * len(rest_ends)
 
 
 def _rest_before(pieces: Pieces) -> NDArray[np.bool_]:
@@ -155,10 +155,14 @@ def _rest_before(pieces: Pieces) -> NDArray[np.bool_]:
         return np.asarray(skips)
     c = pieces.coefficients
     power = np.arange(c.shape[1])
-    way = np.abs(c[:, 1:]).sum(axis=1) + 1e-300
-    end = np.abs((c * power[None, :, None]).sum(axis=1)) <= _AT_REST * way
-    begin = np.abs(c[:, 1]) <= _AT_REST * way if c.shape[1] > 1 else np.ones_like(end)
-    comes_to_rest = np.concatenate([[False], end[:-1].all(axis=1)]) & begin.all(axis=1)
+    distance = np.abs(c[:, 1:]).sum(axis=1) + 1e-300
+    ends_at_rest = np.abs((c * power[None, :, None]).sum(axis=1)) <= _AT_REST * distance
+    begins_at_rest = (
+        np.abs(c[:, 1]) <= _AT_REST * distance if c.shape[1] > 1 else np.ones_like(ends_at_rest)
+    )
+    comes_to_rest = np.concatenate([[False], ends_at_rest[:-1].all(axis=1)]) & begins_at_rest.all(
+        axis=1
+    )
     # The speed of historical motion jumps from 0 after a dwell; the dwell is still a rest.
     dwelt = np.concatenate([[False], pieces.still[:-1]])
     return np.asarray(skips & (dwelt | comes_to_rest))
@@ -230,29 +234,32 @@ def shaping_deviation(
         return ShapingDeviation(0.0, False, 0.0, 0, tuple(0.0 for _ in planned.axes))
     radius = machine.radius_m[[machine.axis_names.index(axis) for axis in planned.axes]]
     step = duration_s / SAMPLES_PER_TRAIN
-    before = _Samples(_with_prolonged_rests(planned, duration_s), radius, step)
-    after = _Samples(iter(shaped), radius, step)
-    reach = SAMPLES_PER_TRAIN + 2
+    planned_samples = _Samples(_with_prolonged_rests(planned, duration_s), radius, step)
+    shaped_samples = _Samples(iter(shaped), radius, step)
+    reach_rows = SAMPLES_PER_TRAIN + 2
     worst = _Worst()
-    first = 0
+    first_row = 0
     while True:
-        after.read(first + _CHUNK + reach)
-        before.read(first + _CHUNK + reach)
-        count = min(_CHUNK, max(after.end, before.end) - first)
-        if count <= 0:
+        shaped_samples.read(first_row + _CHUNK + reach_rows)
+        planned_samples.read(first_row + _CHUNK + reach_rows)
+        row_count = min(_CHUNK, max(shaped_samples.end, planned_samples.end) - first_row)
+        if row_count <= 0:
             break
-        for missed, mine, other, back, ahead in (
-            (False, after, before, reach, 2),
-            (True, before, after, 2, reach),
+        for missed, points, chain, rows_back, rows_ahead in (
+            (False, shaped_samples, planned_samples, reach_rows, 2),
+            (True, planned_samples, shaped_samples, 2, reach_rows),
         ):
             distance = _distances(
-                mine.rows(first, count), other.rows(first - back, count + back + ahead), back, ahead
+                points.rows(first_row, row_count),
+                chain.rows(first_row - rows_back, row_count + rows_back + rows_ahead),
+                rows_back,
+                rows_ahead,
             )
-            at = int(np.argmax(distance))
-            worst.take(float(distance[at]), first + at, mine, missed=missed)
-        first += count
-        after.drop(first - reach)
-        before.drop(first - reach)
+            farthest = int(np.argmax(distance))
+            worst.take(float(distance[farthest]), first_row + farthest, points, missed=missed)
+        first_row += row_count
+        shaped_samples.drop(first_row - reach_rows)
+        planned_samples.drop(first_row - reach_rows)
     return worst.deviation(step, radius)
 
 
@@ -299,14 +306,14 @@ class _Samples:
                 self._append(block, np.asarray(index * self._step, dtype=np.float64))
 
     def _append(self, block: TrajectoryBlock, time_s: FloatArray) -> None:
-        at = np.clip(np.searchsorted(block.start_s, time_s, side="right") - 1, 0, None)
+        piece = np.clip(np.searchsorted(block.start_s, time_s, side="right") - 1, 0, None)
         self._rows = np.concatenate([self._rows, block.evaluate(time_s) * self._radius])
-        self._operation = np.concatenate([self._operation, block.operation[at]])
+        self._operation = np.concatenate([self._operation, block.operation[piece]])
 
     def rows(self, first: int, count: int) -> FloatArray:
         """Return (count, axes) samples; the ends stand for samples beyond them."""
-        at = np.clip(np.arange(first, first + count) - self._first, 0, len(self._rows) - 1)
-        return self._rows[at]
+        row = np.clip(np.arange(first, first + count) - self._first, 0, len(self._rows) - 1)
+        return self._rows[row]
 
     def operation(self, index: int) -> int:
         """Return the operation at a buffered sample."""
@@ -350,18 +357,18 @@ def _distances(points: FloatArray, chain: FloatArray, back: int, ahead: int) -> 
     axes = points.shape[1]
     out = np.empty(points.shape[0])
     for i in range(points.shape[0]):
-        best = np.inf
+        least2 = np.inf
         for j in range(i, i + back + ahead - 1):
-            along, square = 0.0, 0.0
+            projection, chord2 = 0.0, 0.0
             for a in range(axes):
-                way = chain[j + 1, a] - chain[j, a]
-                along += way * (points[i, a] - chain[j, a])
-                square += way * way
-            u = min(1.0, max(0.0, along / square)) if square > 0.0 else 0.0
-            distance = 0.0
+                chord = chain[j + 1, a] - chain[j, a]
+                projection += chord * (points[i, a] - chain[j, a])
+                chord2 += chord * chord
+            u = min(1.0, max(0.0, projection / chord2)) if chord2 > 0.0 else 0.0
+            distance2 = 0.0
             for a in range(axes):
-                off = points[i, a] - chain[j, a] - u * (chain[j + 1, a] - chain[j, a])
-                distance += off * off
-            best = min(best, distance)
-        out[i] = np.sqrt(best)
+                component = points[i, a] - chain[j, a] - u * (chain[j + 1, a] - chain[j, a])
+                distance2 += component * component
+            least2 = min(least2, distance2)
+        out[i] = np.sqrt(least2)
     return out

@@ -204,12 +204,12 @@ class _Problem:
         """
         times = np.linspace(0.0, duration, points)
         directions = np.exp(2j * np.pi * np.arange(_POLYGON) / _POLYGON)
-        rows, bounds, slack = [], [], []
+        rows, bounds, slack_weights = [], [], []
         for row in zero_rows(self._zero, times - duration):
             for d in directions[::4]:
                 rows.append((row * d).real)
                 bounds.append(0.0)
-                slack.append(1.0)
+                slack_weights.append(1.0)
         for low, high, s, tolerance in self._bands:
             count = _BAND_GRID if high > low else 1
             for f in np.linspace(low, high, count):
@@ -217,34 +217,38 @@ class _Problem:
                 for d in directions:
                     rows.append((row * d).real)
                     bounds.append(1.0)
-                    slack.append(1.0)
-        solved = minimise(
+                    slack_weights.append(1.0)
+        solution = minimise(
             np.append(np.zeros(points), 1.0),
             equal=(np.append(np.ones(points), 0.0)[None, :], [1.0]),
-            below=(np.hstack((np.array(rows), -np.array(slack)[:, None])), bounds),
+            below=(np.hstack((np.array(rows), -np.array(slack_weights)[:, None])), bounds),
             bounds=[(0.0, None)] * points + [(None, None)],
             what="direct shaper",
         )
-        return float(solved.x[-1]), solved.x[:-1], times
+        return float(solution.x[-1]), solution.x[:-1], times
 
     def seed(self, points: int) -> tuple[FloatArray, FloatArray]:
         """Return amplitudes and times of the shortest train on a grid, with neighbours merged."""
-        small = 2e-3
+        feasible_violation = 2e-3
         low, high = 0.0, self._longest
         for _ in range(6):
-            if self._least(high, points)[0] <= small:
+            if self._least(high, points)[0] <= feasible_violation:
                 break
             low, high = high, 1.5 * high
         else:
             raise ShaperError(f"direct shaper: no positive train found within {high:.3g} periods")
         while high - low > 1e-2 * high:
             middle = 0.5 * (low + high)
-            low, high = (low, middle) if self._least(middle, points)[0] <= small else (middle, high)
+            low, high = (
+                (low, middle)
+                if self._least(middle, points)[0] <= feasible_violation
+                else (middle, high)
+            )
         _, weights, times = self._least(high, points)
-        used = np.flatnonzero(weights > 1e-5)
-        starts = np.concatenate(([0], np.flatnonzero(np.diff(used) > _MERGE) + 1))
-        amplitudes = np.add.reduceat(weights[used], starts)
-        centres = np.add.reduceat(weights[used] * times[used], starts) / amplitudes
+        used_points = np.flatnonzero(weights > 1e-5)
+        starts = np.concatenate(([0], np.flatnonzero(np.diff(used_points) > _MERGE) + 1))
+        amplitudes = np.add.reduceat(weights[used_points], starts)
+        centres = np.add.reduceat(weights[used_points] * times[used_points], starts) / amplitudes
         centres[0] = 0.0
         return amplitudes / amplitudes.sum(), centres
 
@@ -252,19 +256,21 @@ class _Problem:
         """Return amplitudes and times of the shortest train near a seed, with exact constraints."""
         n = len(times)
         x = np.concatenate((times[1:], amplitudes))
-        fixed = [list(np.linspace(b[0], b[1], 9 if b[1] > b[0] else 1)) for b in self._bands]
-        checked = fixed
+        band_grids = [list(np.linspace(b[0], b[1], 9 if b[1] > b[0] else 1)) for b in self._bands]
+        checked_frequencies = band_grids
         for _ in range(6):
-            before = x
-            x = self._shortest(x, n, checked)
+            x_before = x
+            x = self._shortest(x, n, checked_frequencies)
             x, n = _pruned(x, n)
-            if x.shape == before.shape and float(np.abs(x - before).max()) < _SETTLED:
+            if x.shape == x_before.shape and float(np.abs(x - x_before).max()) < _SETTLED:
                 break
             peaks = self._peaks(x, n)
-            checked = [[*grid, *tops] for grid, tops in zip(fixed, peaks, strict=True)]
+            checked_frequencies = [
+                [*grid, *tops] for grid, tops in zip(band_grids, peaks, strict=True)
+            ]
         x = self._exact(x, n)
         t, a = np.concatenate(([0.0], x[: n - 1])), x[n - 1 : 2 * n - 1]
-        order_kept = bool(np.all(np.diff(t) > 0.0)) and bool(np.all(a >= 0.0))
+        is_valid = bool(np.all(np.diff(t) > 0.0)) and bool(np.all(a >= 0.0))
         worst = max(
             (
                 abs(response(a, t, f, b[2], 0)) / b[3] - 1.0
@@ -273,7 +279,7 @@ class _Problem:
             ),
             default=0.0,
         )
-        if not order_kept or worst > 1e-10:
+        if not is_valid or worst > 1e-10:
             raise ShaperError(
                 f"direct shaper: the design did not converge (V exceeds its tolerance by "
                 f"{worst:.1e} of it)",
@@ -288,7 +294,7 @@ class _Problem:
         bounds += [(0.0, 1.0)] * n
         # The type stubs of scipy do not allow a Jacobian together with constraints.
         sequential: Any = minimize
-        solved = sequential(
+        solution = sequential(
             lambda y: float(y[n - 2]),
             x,
             jac=lambda y: np.asarray(np.arange(len(y)) == n - 2, dtype=np.float64),
@@ -297,7 +303,7 @@ class _Problem:
             constraints=self._constraints(n, checked),
             options={"maxiter": 200, "ftol": 1e-12},
         )
-        return np.asarray(solved.x, dtype=np.float64)
+        return np.asarray(solution.x, dtype=np.float64)
 
     def _constraints(self, n: int, checked: list[list[float]]) -> list[Any]:
         def split(y: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -324,12 +330,12 @@ class _Problem:
             for (_, _, s, tolerance), grid in zip(self._bands, checked, strict=True):
                 yield *responses(a, t, np.array(grid), s), tolerance
 
-        def room(y: FloatArray) -> FloatArray:
+        def margin(y: FloatArray) -> FloatArray:
             return np.concatenate(
                 [1.0 - np.abs(h / tolerance) ** 2 for h, _, tolerance in bands(y)]
             )
 
-        def room_jacobian(y: FloatArray) -> FloatArray:
+        def margin_jacobian(y: FloatArray) -> FloatArray:
             return np.concatenate(
                 [
                     -2.0 * (h.conjugate()[:, None] * gradient).real / tolerance**2
@@ -337,30 +343,30 @@ class _Problem:
                 ]
             )
 
-        wanted: list[Any] = [{"type": "eq", "fun": equal, "jac": equal_jacobian}]
+        constraints: list[Any] = [{"type": "eq", "fun": equal, "jac": equal_jacobian}]
         if self._bands:
-            wanted.append({"type": "ineq", "fun": room, "jac": room_jacobian})
-        return wanted
+            constraints.append({"type": "ineq", "fun": margin, "jac": margin_jacobian})
+        return constraints
 
     def _peaks(self, x: FloatArray, n: int) -> list[list[float]]:
         """Return the interior maxima of V in every band, refined by Newton's method on dV^2/df."""
         t, a = np.concatenate(([0.0], x[: n - 1])), x[n - 1 : 2 * n - 1]
-        found = []
+        peaks = []
         for low, high, s, _ in self._bands:
             f = np.linspace(low, high, 401)
             v = np.abs(np.exp(s * np.outer(f, t - t[-1])) @ a)
-            tops = f[np.flatnonzero((v[1:-1] > v[:-2]) & (v[1:-1] >= v[2:])) + 1]
-            refined = []
-            for top in tops:
-                g = float(top)
+            sampled_peaks = f[np.flatnonzero((v[1:-1] > v[:-2]) & (v[1:-1] >= v[2:])) + 1]
+            refined_peaks = []
+            for sampled_peak in sampled_peaks:
+                g = float(sampled_peak)
                 for _ in range(8):
                     h = [response(a, t, g, s, k) for k in range(3)]
                     slope = (h[0].conjugate() * h[1]).real
                     bend = abs(h[1]) ** 2 + (h[0].conjugate() * h[2]).real
                     g -= float(np.clip(slope / bend, -0.01, 0.01))
-                refined.append(min(max(g, low), high))
-            found.append(refined)
-        return found
+                refined_peaks.append(min(max(g, low), high))
+            peaks.append(refined_peaks)
+        return peaks
 
     def _exact(self, x: FloatArray, n: int) -> FloatArray:
         """Return the solution near ``x`` that meets every active constraint exactly."""
@@ -368,31 +374,35 @@ class _Problem:
         t, a = np.concatenate(([0.0], x[: n - 1])), x[n - 1 :]
         for i, (b, tops) in enumerate(zip(self._bands, self._peaks(x, n), strict=True)):
             ends = [b[0]] if b[1] == b[0] else [b[0], b[1]]
-            for f, moves in [(f, False) for f in ends] + [(f, True) for f in tops]:
+            for f, is_free in [(f, False) for f in ends] + [(f, True) for f in tops]:
                 if abs(response(a, t, f, b[2], 0)) > b[3] * (1.0 - 1e-5):
-                    active.append((i, f, moves))
-        moving = [f for _, f, moves in active if moves]
+                    active.append((i, f, is_free))
+        free_frequencies = [f for _, f, is_free in active if is_free]
 
         def system(y: FloatArray) -> tuple[FloatArray, FloatArray]:
             times, weights = np.concatenate(([0.0], y[: n - 1])), y[n - 1 : 2 * n - 1]
             stacks = []
-            slots = iter(range(len(moving)))
-            place = [next(slots) if moves else None for _, _, moves in active]
+            slots = iter(range(len(free_frequencies)))
+            frequency_slots = [next(slots) if is_free else None for _, _, is_free in active]
             for s in dict.fromkeys([z[1] for z in self._zero] + [b[2] for b in self._bands]):
                 rows = Rows(
-                    weights, times, s, free_amplitudes=True, unknown_frequencies=len(moving)
+                    weights,
+                    times,
+                    s,
+                    free_amplitudes=True,
+                    unknown_frequencies=len(free_frequencies),
                 )
-                for f, other, order in self._zero:
-                    if other == s:
+                for f, zero_pole, order in self._zero:
+                    if zero_pole == s:
                         rows.zero(f, order=order)
-                for (i, f, _), slot in zip(active, place, strict=True):
+                for (i, f, _), slot in zip(active, frequency_slots, strict=True):
                     if self._bands[i][2] == s:
-                        at = f if slot is None else float(y[2 * n - 1 + slot])
-                        rows.level(at, self._bands[i][3], slot)
+                        frequency = f if slot is None else float(y[2 * n - 1 + slot])
+                        rows.level(frequency, self._bands[i][3], slot)
                         if slot is not None:
-                            rows.flat(at, self._bands[i][3], slot)
+                            rows.flat(frequency, self._bands[i][3], slot)
                 rows.unit_sum()
                 stacks.append(rows.system())
             return (np.concatenate([r for r, _ in stacks]), np.concatenate([j for _, j in stacks]))
 
-        return newton(system, np.concatenate((x, moving)), "direct shaper")
+        return newton(system, np.concatenate((x, free_frequencies)), "direct shaper")

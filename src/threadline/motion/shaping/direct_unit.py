@@ -84,8 +84,8 @@ def direct_unit_magnitude(
     amplitudes = np.where(np.arange(len(times)) % 2 == 0, 1.0, -1.0)
     shaper = Shaper(amplitudes=amplitudes, times_s=times * unit, name=name)
     for r in requirements:
-        at = np.array([r.mode.frequency_hz])
-        prove(shaper, at, r.mode.damping_ratio, np.zeros(1), at_most=True)
+        mode_hz = np.array([r.mode.frequency_hz])
+        prove(shaper, mode_hz, r.mode.damping_ratio, np.zeros(1), at_most=True)
     return shaper
 
 
@@ -95,18 +95,21 @@ def _least(zeros: Sequence[ZeroOf], duration: float, points: int) -> tuple[float
     rows, bounds = [], []
     for by_impulse in zero_rows(zeros, edges - duration):
         by_level = by_impulse[:-1] - by_impulse[1:]
-        rest = by_impulse[-1]
-        for turned, constant in ((by_level.real, rest.real), (by_level.imag, rest.imag)):
-            rows += [turned, -turned]
+        final_level = by_impulse[-1]
+        for level_row, constant in (
+            (by_level.real, final_level.real),
+            (by_level.imag, final_level.imag),
+        ):
+            rows += [level_row, -level_row]
             bounds += [-constant, constant]
-    solved = minimise(
+    solution = minimise(
         np.append(np.zeros(points), 1.0),
         equal=(np.zeros((1, points + 1)), np.zeros(1)),
         below=(np.hstack((np.array(rows), -np.ones((len(rows), 1)))), np.array(bounds)),
         bounds=[(0.0, 1.0)] * points + [(0.0, None)],
         what="unit-magnitude shaper",
     )
-    return float(solved.x[-1]), solved.x[:-1]
+    return float(solution.x[-1]), solution.x[:-1]
 
 
 def _seed(zeros: Sequence[ZeroOf], points: int) -> FloatArray:
@@ -125,8 +128,8 @@ def _seed(zeros: Sequence[ZeroOf], points: int) -> FloatArray:
     times = switchings_of(levels, high / points)
     # There are as many times as equations; further ones are on/off pairs within a cell.
     while len(times) - 1 > 2 * len(zeros):
-        narrow = int(np.argmin(np.diff(times)))
-        times = np.delete(times, [narrow, narrow + 1])
+        narrowest = int(np.argmin(np.diff(times)))
+        times = np.delete(times, [narrowest, narrowest + 1])
     shifted: FloatArray = times - times[0]
     return shifted
 
@@ -143,13 +146,13 @@ def switchings_of(levels: FloatArray, cell: float) -> FloatArray:
     """
     padded = np.concatenate(([0.0], levels, [1.0]))
     rounded = np.rint(padded)
-    found = []
+    switchings = []
     for k in np.flatnonzero(np.diff(rounded)):
         # A level between 0 and 1 shifts the switching within its cell.
         a, b = padded[k], padded[k + 1]
-        late = (1.0 - b) - a if rounded[k + 1] > rounded[k] else b - (1.0 - a)
-        found.append((k + late) * cell)
-    times = np.array(found)
+        share = (1.0 - b) - a if rounded[k + 1] > rounded[k] else b - (1.0 - a)
+        switchings.append((k + share) * cell)
+    times = np.array(switchings)
     shifted: FloatArray = times - times[0]
     return shifted
 
@@ -163,21 +166,21 @@ def _polish(seed: FloatArray, zeros: Sequence[ZeroOf]) -> FloatArray:
         stacks = []
         for s in dict.fromkeys(zero[1] for zero in zeros):
             rows = Rows(amplitudes, times, s, free_amplitudes=False, unknown_frequencies=0)
-            for f, other, order in zeros:
-                if other == s:
+            for f, zero_pole, order in zeros:
+                if zero_pole == s:
                     rows.zero(f, order=order)
             stacks.append(rows.system())
         return np.concatenate([r for r, _ in stacks]), np.concatenate([j for _, j in stacks])
 
-    solved = np.concatenate(([0.0], newton(system, seed[1:], "unit-magnitude shaper")))
-    if len(solved) % 2 == 0 or bool(np.any(np.diff(solved) <= 0.0)):
+    switching_times = np.concatenate(([0.0], newton(system, seed[1:], "unit-magnitude shaper")))
+    if len(switching_times) % 2 == 0 or bool(np.any(np.diff(switching_times) <= 0.0)):
         raise ShaperError(
             "unit-magnitude shaper: the design did not converge (its switchings changed order)",
             remedy="Change a mode a little.",
         )
-    if float(np.abs(solved - seed).max()) > 0.05:
+    if float(np.abs(switching_times - seed).max()) > 0.05:
         raise ShaperError("unit-magnitude shaper: the design left the optimum that was found")
-    return solved
+    return switching_times
 
 
 _BAND_GRID_SIZES = (200, 260, 150, 340)
@@ -263,19 +266,22 @@ class _Problem:
             for f in np.linspace(low, high, _BAND_GRID if high > low else 1):
                 by_impulse = np.exp(pole(r.mode.damping_ratio) * f * (edges - duration))
                 by_level = (by_impulse[:-1] - by_impulse[1:]) / r.tolerance
-                rest = by_impulse[-1] / r.tolerance
+                final_level = by_impulse[-1] / r.tolerance
                 rows.append((by_level[None, :] * directions[:, None]).real)
-                bounds.append(-(rest * directions).real)
-        table = np.vstack(rows)
-        solved = minimise(
+                bounds.append(-(final_level * directions).real)
+        rows_of_bands = np.vstack(rows)
+        solution = minimise(
             np.append(np.zeros(points), 1.0),
             equal=(np.zeros((1, points + 1)), np.zeros(1)),
-            below=(np.hstack((table, -np.ones((len(table), 1)))), np.concatenate(bounds)),
+            below=(
+                np.hstack((rows_of_bands, -np.ones((len(rows_of_bands), 1)))),
+                np.concatenate(bounds),
+            ),
             bounds=[(0.0, 1.0)] * points + [(0.0, None)],
             what="unit-magnitude shaper over bands",
             seconds=60.0,
         )
-        return float(solved.x[-1]), solved.x[:-1]
+        return float(solution.x[-1]), solution.x[:-1]
 
     def seed(self, points: int) -> FloatArray:
         """Switching times of the shortest feasible duration on a grid, from 0."""
@@ -299,24 +305,26 @@ class _Problem:
 
     def _tops(self, times: FloatArray) -> list[FloatArray]:
         """Return, for every band, its ends and the frequencies of the inner maxima of V."""
-        found = []
+        peaks = []
         train = Shaper(amplitudes=_signs(len(times)), times_s=times)
         for r in self._asked:
             low, high = self._edges(r)
             if high == low:
-                found.append(np.array([low]))
+                peaks.append(np.array([low]))
                 continue
             f = np.linspace(low, high, _SWEEP)
             v = residual_vibration(train, f, r.mode.damping_ratio)
-            inside = np.flatnonzero((v[1:-1] >= v[:-2]) & (v[1:-1] >= v[2:])) + 1
+            inner_maxima = np.flatnonzero((v[1:-1] >= v[:-2]) & (v[1:-1] >= v[2:])) + 1
             # The maximum is at the vertex of the parabola through three samples.
-            a, b, c = v[inside - 1], v[inside], v[inside + 1]
-            bend = a - 2.0 * b + c
+            a, b, c = v[inner_maxima - 1], v[inner_maxima], v[inner_maxima + 1]
+            curvature = a - 2.0 * b + c
             shift = np.where(
-                np.abs(bend) > 0.0, 0.5 * (a - c) / np.where(bend == 0.0, 1.0, bend), 0.0
+                np.abs(curvature) > 0.0,
+                0.5 * (a - c) / np.where(curvature == 0.0, 1.0, curvature),
+                0.0,
             )
-            found.append(np.concatenate(([low, high], f[inside] + shift * (f[1] - f[0]))))
-        return found
+            peaks.append(np.concatenate(([low, high], f[inner_maxima] + shift * (f[1] - f[0]))))
+        return peaks
 
     def polished(self, seed: FloatArray) -> FloatArray:
         """Return the times of the shortest train with the seed's number of switchings.
@@ -327,18 +335,18 @@ class _Problem:
             If the design does not converge.
         """
         times = seed
-        looked = [
+        checked_frequencies = [
             np.linspace(*self._edges(r), _BAND_GRID if r.relative else 1) for r in self._asked
         ]
         for _ in range(_ROUNDS):
-            looked = [
+            checked_frequencies = [
                 np.unique(np.concatenate((old, tops)))
-                for old, tops in zip(looked, self._tops(times), strict=True)
+                for old, tops in zip(checked_frequencies, self._tops(times), strict=True)
             ]
-            before, times = times, self._shortest(times, looked)
+            times_before, times = times, self._shortest(times, checked_frequencies)
             if np.any(np.diff(times) <= 0.0):
                 break
-            if self._excess(times) <= 1.0 and float(np.abs(times - before).max()) < _SETTLED:
+            if self._excess(times) <= 1.0 and float(np.abs(times - times_before).max()) < _SETTLED:
                 return times
         if np.all(np.diff(times) > 0.0) and self._excess(times) <= 1.0:
             return times
@@ -347,53 +355,57 @@ class _Problem:
             remedy="Change a band or a tolerance a little.",
         )
 
-    def _shortest(self, times: FloatArray, looked: Sequence[FloatArray]) -> FloatArray:
-        """Return the shortest train near ``times`` with V in tolerance at all ``looked``."""
+    def _shortest(self, times: FloatArray, checked: Sequence[FloatArray]) -> FloatArray:
+        """Return the shortest train near ``times`` with V in tolerance at all ``checked``."""
         from scipy.optimize import minimize
 
         n, signs = len(times), _signs(len(times))
-        apart = np.eye(n - 1) - np.eye(n - 1, k=-1)
+        differences = np.eye(n - 1) - np.eye(n - 1, k=-1)
 
         def waves(x: FloatArray) -> list[tuple[Requirement, ComplexArray, ComplexArray]]:
             t = np.concatenate(([0.0], x))
-            found = []
-            for r, f in zip(self._asked, looked, strict=True):
-                turn: ComplexArray = np.asarray(pole(r.mode.damping_ratio) * f, np.complex128)
-                wave = np.exp(turn[:, None] * (t - t[-1])) * signs
-                found.append((r, turn, np.asarray(wave, np.complex128)))
-            return found
+            waves_found = []
+            for r, f in zip(self._asked, checked, strict=True):
+                exponents: ComplexArray = np.asarray(pole(r.mode.damping_ratio) * f, np.complex128)
+                wave = np.exp(exponents[:, None] * (t - t[-1])) * signs
+                waves_found.append((r, exponents, np.asarray(wave, np.complex128)))
+            return waves_found
 
-        def room(x: FloatArray) -> FloatArray:
+        def margin(x: FloatArray) -> FloatArray:
             parts = [
                 (1.0 - _MARGIN) - np.abs(wave.sum(axis=1)) ** 2 / r.tolerance**2
                 for r, _, wave in waves(x)
             ]
             return np.concatenate(parts)
 
-        def slope(x: FloatArray) -> FloatArray:
+        def margin_jacobian(x: FloatArray) -> FloatArray:
             parts = []
-            for r, turn, wave in waves(x):
-                by_delay = turn[:, None] * wave
+            for r, exponents, wave in waves(x):
+                by_delay = exponents[:, None] * wave
                 by_times = by_delay[:, 1:].copy()
                 by_times[:, -1] = -by_delay[:, :-1].sum(axis=1)
-                whole = wave.sum(axis=1).conjugate()[:, None]
-                parts.append(-2.0 * (whole * by_times).real / r.tolerance**2)
+                response = wave.sum(axis=1).conjugate()[:, None]
+                parts.append(-2.0 * (response * by_times).real / r.tolerance**2)
             return np.vstack(parts)
 
         # scipy's stubs do not know a Jacobian beside constraints.
         sequential: Any = minimize
-        solved = sequential(
+        solution = sequential(
             lambda x: float(x[-1]),
             times[1:],
             jac=lambda x: np.asarray(np.arange(len(x)) == len(x) - 1, dtype=np.float64),
             method="SLSQP",
             constraints=[
-                {"type": "ineq", "fun": room, "jac": slope},
-                {"type": "ineq", "fun": lambda x: apart @ x - _APART, "jac": lambda _: apart},
+                {"type": "ineq", "fun": margin, "jac": margin_jacobian},
+                {
+                    "type": "ineq",
+                    "fun": lambda x: differences @ x - _APART,
+                    "jac": lambda _: differences,
+                },
             ],
             options={"maxiter": 300, "ftol": 1e-12},
         )
-        return np.concatenate(([0.0], np.asarray(solved.x, dtype=np.float64)))
+        return np.concatenate(([0.0], np.asarray(solution.x, dtype=np.float64)))
 
     def _excess(self, times: FloatArray) -> float:
         """Return the largest ratio of V to its tolerance over the bands."""

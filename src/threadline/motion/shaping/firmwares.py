@@ -132,11 +132,11 @@ def shortest_type(mode: FlexibleMode) -> tuple[str, float] | None:
     The residual V is the result of ``largest_residual``, and is at most ``LEFT``. The result is
     None if no type achieves this; each type has its own limit of the damping ratio.
     """
-    for name, most in _MAX_DAMPING.items():
-        if mode.damping_ratio <= most:
-            left = largest_residual(klipper_impulses(name, mode), [mode])
-            if left <= LEFT:
-                return name, left
+    for name, most_damping in _MAX_DAMPING.items():
+        if mode.damping_ratio <= most_damping:
+            residual = largest_residual(klipper_impulses(name, mode), [mode])
+            if residual <= LEFT:
+                return name, residual
     return None
 
 
@@ -181,41 +181,43 @@ def klipper_export(shaper: Shaper, mode: FlexibleMode, *, axes: str = "xy") -> F
     """
     if not axes or set(axes) - {"x", "y"}:
         raise OptionError(f"Klipper shapes axes x and y, got {axes!r}")
-    words = [name for name, most in _MAX_DAMPING.items() if mode.damping_ratio <= most]
+    types = [
+        name for name, most_damping in _MAX_DAMPING.items() if mode.damping_ratio <= most_damping
+    ]
     trains = {
-        word: klipper_impulses(word, mode) for word in [*words, *_with_parameters(shaper, mode)]
+        word: klipper_impulses(word, mode) for word in [*types, *_with_parameters(shaper, mode)]
     }
-    found = _played("Klipper", shaper, mode, trains)
-    if not found.shaper_type:
-        return found
+    export = _played("Klipper", shaper, mode, trains)
+    if not export.shaper_type:
+        return export
     lines = ["[input_shaper]"]
     for axis in axes:
         lines += [
-            f"shaper_type_{axis}: {found.shaper_type}",
+            f"shaper_type_{axis}: {export.shaper_type}",
             f"shaper_freq_{axis}: {mode.frequency_hz:.6g}",
             f"damping_ratio_{axis}: {mode.damping_ratio:.6g}",
         ]
-    return replace(found, section="\n".join(lines) + "\n")
+    return replace(export, section="\n".join(lines) + "\n")
 
 
 def _with_parameters(shaper: Shaper, mode: FlexibleMode) -> list[str]:
     """Return types with parameters that have the shaper's number of impulses and duration."""
     n = len(shaper.times_s)
-    found: list[str] = []
+    types: list[str] = []
     if not 3 <= n <= 32 or bool(np.any(shaper.amplitudes < 0.0)):
-        return found
-    even = np.linspace(0.0, shaper.duration_s, n)
+        return types
+    even_times_s = np.linspace(0.0, shaper.duration_s, n)
     periods = round(shaper.duration_s / mode.damped_period_s, 6)
-    if np.allclose(shaper.times_s, even, rtol=0.0, atol=1e-6 * shaper.duration_s):
+    if np.allclose(shaper.times_s, even_times_s, rtol=0.0, atol=1e-6 * shaper.duration_s):
         with suppress(OptionError):
             modified_zv(mode.damping_ratio, n, periods)
             if (n, periods) != (3, 0.75):
-                found.append(f"mzv(n={n},t={periods:g})")
+                types.append(f"mzv(n={n},t={periods:g})")
     peak = vibration_of(shaper, mode)
     fits = n == 3 and mode.damping_ratio <= _MAX_DAMPING["ei"]
     if fits and 1e-4 < peak < 0.5 and abs(peak - _V_TOL) > 1e-4:
-        found.append(f"ei(v_tol={peak:.4f})")
-    return found
+        types.append(f"ei(v_tol={peak:.4f})")
+    return types
 
 
 def _played(
@@ -223,25 +225,25 @@ def _played(
 ) -> FirmwareExport:
     """Return the type in ``trains`` that equals a shaper, or no type and the nearest one."""
     f = mode.frequency_hz * np.linspace(0.75, 1.25, 201)
-    ours = residual_vibration(shaper, f, mode.damping_ratio)
+    vibration = residual_vibration(shaper, f, mode.damping_ratio)
 
-    def off(train: Shaper) -> float:
-        theirs = residual_vibration(train, f, mode.damping_ratio)
-        return float(np.abs(theirs - ours).max())
+    def difference_from(train: Shaper) -> float:
+        train_vibration = residual_vibration(train, f, mode.damping_ratio)
+        return float(np.abs(train_vibration - vibration).max())
 
     positive = bool(np.all(shaper.amplitudes >= 0.0))
-    same = {w: t for w, t in trains.items() if len(t.times_s) == len(shaper.times_s)}
-    word = min(same or trains, key=lambda w: off(trains[w]))
-    difference = off(trains[word])
-    if same and positive and difference <= MATCH:
+    same_length = {w: t for w, t in trains.items() if len(t.times_s) == len(shaper.times_s)}
+    word = min(same_length or trains, key=lambda w: difference_from(trains[w]))
+    difference = difference_from(trains[word])
+    if same_length and positive and difference <= MATCH:
         return FirmwareExport(
             "",
             word,
             difference,
             f"{firmware}'s {word} plays it: V differs by at most {difference:.4f} within 25 %",
         )
-    word = min(trains, key=lambda w: off(trains[w]))
-    difference = off(trains[word])
+    word = min(trains, key=lambda w: difference_from(trains[w]))
+    difference = difference_from(trains[word])
     longer_s = trains[word].duration_s - shaper.duration_s
     return FirmwareExport(
         "",
@@ -257,8 +259,8 @@ def marlin_export(shaper: Shaper, mode: FlexibleMode) -> FirmwareExport:
     """Return Marlin's ``M593`` for ``shaper``, made for ``mode``, or how much its ZV differs."""
     command = f"M593 F{damped_frequency_hz(mode):.6g} D{mode.damping_ratio:.6g}"
     train = marlin_impulses(damped_frequency_hz(mode), mode.damping_ratio)
-    found = _played("Marlin", shaper, mode, {command: train})
-    return replace(found, section=f"{command}\n") if found.shaper_type else found
+    export = _played("Marlin", shaper, mode, {command: train})
+    return replace(export, section=f"{command}\n") if export.shaper_type else export
 
 
 def reprap_export(shaper: Shaper, mode: FlexibleMode) -> FirmwareExport:
@@ -274,8 +276,8 @@ def reprap_export(shaper: Shaper, mode: FlexibleMode) -> FirmwareExport:
         for name in TYPES
         if mode.damping_ratio <= _MOST_DAMPING.get(name, 0.99)
     }
-    found = _played("RepRapFirmware", shaper, mode, trains)
-    return replace(found, section=f"{found.shaper_type}\n") if found.shaper_type else found
+    export = _played("RepRapFirmware", shaper, mode, trains)
+    return replace(export, section=f"{export.shaper_type}\n") if export.shaper_type else export
 
 
 _PARTS = 128.0
@@ -336,13 +338,13 @@ def reprap_impulses(shaper_type: str, frequency_hz: float, damping_ratio: float)
         spacing = 0.375 if shaper_type == "mzv" else 0.5
         decay = math.exp(-2.0 * math.pi * damping_ratio * spacing / root)
         order = _DERIVATIVES.get(shaper_type)
-        plain = (
+        undamped = (
             [1.0, math.sqrt(2.0), 1.0]
             if order is None
             else [float(math.comb(order, k)) for k in range(order + 1)]
         )
-        weights = np.array([share * decay**k for k, share in enumerate(plain)])
-        periods = np.array([k * spacing for k in range(len(plain))])
+        weights = np.array([share * decay**k for k, share in enumerate(undamped)])
+        periods = np.array([k * spacing for k in range(len(undamped))])
     return Shaper(
         amplitudes=weights / weights.sum(),
         times_s=periods * period_s,
@@ -357,8 +359,8 @@ def shortest_for_all(modes: Sequence[FlexibleMode]) -> Chosen | None:
     no type achieves that. With several modes the frequency lies between the slowest and the
     fastest, and the damping ratio is their mean.
     """
-    found: tuple[float, Chosen] | None = None
-    slowest, fastest = (end(mode.frequency_hz for mode in modes) for end in (min, max))
+    shortest: tuple[float, Chosen] | None = None
+    slowest, fastest = (pick(mode.frequency_hz for mode in modes) for pick in (min, max))
     damping = float(np.mean([mode.damping_ratio for mode in modes]))
     for name in TYPES:
         if damping > _MOST_DAMPING.get(name, 0.99):
@@ -366,9 +368,9 @@ def shortest_for_all(modes: Sequence[FlexibleMode]) -> Chosen | None:
         for f in np.unique(np.linspace(slowest, fastest, _FREQUENCIES)):
             train = reprap_impulses(name, float(f), damping)
             length_s = float(train.times_s[-1])
-            if found is not None and length_s >= found[0]:
+            if shortest is not None and length_s >= shortest[0]:
                 continue
-            left = largest_residual(train, modes)
-            if left <= LEFT:
-                found = length_s, Chosen(name, float(f), damping, left)
-    return None if found is None else found[1]
+            residual = largest_residual(train, modes)
+            if residual <= LEFT:
+                shortest = length_s, Chosen(name, float(f), damping, residual)
+    return None if shortest is None else shortest[1]

@@ -64,8 +64,8 @@ class KlipperFit:
 def klipper_weighted(frequency_hz: FloatArray, power: FloatArray) -> FloatArray:
     """Return power over frequency, faded below 10 Hz, as Klipper weighs a run's spectrum."""
     weighted = power / (frequency_hz + 0.1)
-    low = frequency_hz < _LOW_HZ
-    weighted[low] *= np.exp(1.0 - (_LOW_HZ / (frequency_hz[low] + 0.1)) ** 2)
+    is_low = frequency_hz < _LOW_HZ
+    weighted[is_low] *= np.exp(1.0 - (_LOW_HZ / (frequency_hz[is_low] + 0.1)) ** 2)
     return weighted
 
 
@@ -86,54 +86,54 @@ def klipper_choice(
     OptionError
         If there is no power up to 200 Hz.
     """
-    seen = frequency_hz <= _SEEN_HZ
-    f, power = frequency_hz[seen], power[seen]
+    in_range = frequency_hz <= _SEEN_HZ
+    f, power = frequency_hz[in_range], power[in_range]
     if not len(f) or float(power.max()) <= 0.0:
         raise OptionError("the spectrum has no power up to 200 Hz", remedy="Measure again.")
     chosen: KlipperFit | None = None
-    best: list[KlipperFit] = []
+    best_of_types: list[KlipperFit] = []
     for name in TRIED:
-        tried = _tried(name, f, power)
-        one = _of_type(tried)
-        if chosen is None or _better(one, chosen):
-            chosen = one
-        for other in tried:
-            if other.vibration < chosen.vibration and other.smoothing_mm < chosen.smoothing_mm:
-                chosen = one = other
-        best.append(one)
+        fits = _tried(name, f, power)
+        best_fit = _of_type(fits)
+        if chosen is None or _better(best_fit, chosen):
+            chosen = best_fit
+        for fit in fits:
+            if fit.vibration < chosen.vibration and fit.smoothing_mm < chosen.smoothing_mm:
+                chosen = best_fit = fit
+        best_of_types.append(best_fit)
     assert chosen is not None
     if chosen.shaper_type == "zv":
-        others = (b for b in best[1:] if b.shaper_type != "zv")
-        chosen = next((b for b in others if 1.1 * b.vibration < chosen.vibration), chosen)
-    return chosen, tuple(best)
+        other_types = (b for b in best_of_types[1:] if b.shaper_type != "zv")
+        chosen = next((b for b in other_types if 1.1 * b.vibration < chosen.vibration), chosen)
+    return chosen, tuple(best_of_types)
 
 
-def _better(one: KlipperFit, than: KlipperFit) -> bool:
-    return 1.2 * one.score < than.score or (
-        1.05 * one.score < than.score and 1.1 * one.smoothing_mm < than.smoothing_mm
+def _better(fit: KlipperFit, other_fit: KlipperFit) -> bool:
+    return 1.2 * fit.score < other_fit.score or (
+        1.05 * fit.score < other_fit.score and 1.1 * fit.smoothing_mm < other_fit.smoothing_mm
     )
 
 
 def _tried(name: str, f: FloatArray, power: FloatArray) -> list[KlipperFit]:
     """Return the results of a type at all frequencies, the lowest first."""
-    tried = np.arange(TRIED[name], _MOST_HZ, _STEP_HZ)
+    frequencies = np.arange(TRIED[name], _MOST_HZ, _STEP_HZ)
     # The train of a type at another frequency is the same train on another scale of time.
     train = klipper_impulses(name, FlexibleMode(1.0, _DAMPING))
-    vibration = _remaining(train, f / tried[:, None], power)
-    found = []
-    for frequency, left_over in zip(tried.tolist(), vibration.tolist(), strict=True):
-        smoothing, most = _smoothing(train, frequency)
-        found.append(
+    vibration = _remaining(train, f / frequencies[:, None], power)
+    fits = []
+    for frequency, remaining in zip(frequencies.tolist(), vibration.tolist(), strict=True):
+        smoothing, max_accel = _smoothing(train, frequency)
+        fits.append(
             KlipperFit(
                 shaper_type=name,
                 frequency_hz=frequency,
-                vibration=left_over,
+                vibration=remaining,
                 smoothing_mm=smoothing,
-                score=smoothing * (left_over**1.5 + 0.2 * left_over + 0.01),
-                max_accel_mm_s2=most,
+                score=smoothing * (remaining**1.5 + 0.2 * remaining + 0.01),
+                max_accel_mm_s2=max_accel,
             )
         )
-    return found
+    return fits
 
 
 def _remaining(train: Shaper, ratios: FloatArray, power: FloatArray) -> FloatArray:
@@ -141,8 +141,8 @@ def _remaining(train: Shaper, ratios: FloatArray, power: FloatArray) -> FloatArr
     threshold = float(power.max()) * _IGNORED
     worst = np.zeros(len(ratios))
     for damping in _DAMPINGS:
-        left = residual_vibration(train, ratios.ravel(), damping).reshape(ratios.shape)
-        worst = np.maximum(worst, np.maximum(left * power - threshold, 0.0).sum(axis=1))
+        residual = residual_vibration(train, ratios.ravel(), damping).reshape(ratios.shape)
+        worst = np.maximum(worst, np.maximum(residual * power - threshold, 0.0).sum(axis=1))
     return worst / float(np.maximum(power - threshold, 0.0).sum())
 
 
@@ -156,18 +156,18 @@ def klipper_measures(
     frequency_hz, power
         As for ``klipper_choice``.
     """
-    seen = frequency_hz <= _SEEN_HZ
-    left = _remaining(train, frequency_hz[None, seen], power[seen])
-    return float(left[0]), _smoothing(train, 1.0)[1]
+    in_range = frequency_hz <= _SEEN_HZ
+    remaining = _remaining(train, frequency_hz[None, in_range], power[in_range])
+    return float(remaining[0]), _smoothing(train, 1.0)[1]
 
 
-def _of_type(tried: list[KlipperFit]) -> KlipperFit:
+def _of_type(fits: list[KlipperFit]) -> KlipperFit:
     # Klipper starts at the highest frequency, so the highest of equal frequencies is its best.
-    least = min(reversed(tried), key=lambda one: one.vibration)
-    chosen = least
-    for one in tried:
-        if one.vibration < 1.1 * least.vibration + 0.0005 and one.score < chosen.score:
-            chosen = one
+    quietest = min(reversed(fits), key=lambda fit: fit.vibration)
+    chosen = quietest
+    for fit in fits:
+        if fit.vibration < 1.1 * quietest.vibration + 0.0005 and fit.score < chosen.score:
+            chosen = fit
     return chosen
 
 
@@ -179,12 +179,12 @@ def _smoothing(train: Shaper, frequency_hz: float) -> tuple[float, float]:
     train
         Train for 1 Hz; its times are scaled to ``frequency_hz``.
     """
-    late = (train.times_s - train.centroid_s) / frequency_hz
-    after = late >= 0.0
+    delays_s = (train.times_s - train.centroid_s) / frequency_hz
+    is_late = delays_s >= 0.0
     weights = train.amplitudes / train.amplitudes.sum()
-    constant = math.sqrt(2.0) * _CORNER_MM_S * float((weights * late)[after].sum())
-    squares = 0.5 * weights * late**2
-    slope, back = math.sqrt(2.0) * float(squares[after].sum()), float(squares.sum())
-    cut = max(constant + slope * _ACCELERATION_MM_S2, back * _ACCELERATION_MM_S2)
-    most = min((_SMOOTHING_MM - constant) / slope, _SMOOTHING_MM / back)
-    return cut, max(most, 0.0)
+    constant = math.sqrt(2.0) * _CORNER_MM_S * float((weights * delays_s)[is_late].sum())
+    squares = 0.5 * weights * delays_s**2
+    slope, total_slope = math.sqrt(2.0) * float(squares[is_late].sum()), float(squares.sum())
+    cut = max(constant + slope * _ACCELERATION_MM_S2, total_slope * _ACCELERATION_MM_S2)
+    max_accel = min((_SMOOTHING_MM - constant) / slope, _SMOOTHING_MM / total_slope)
+    return cut, max(max_accel, 0.0)

@@ -66,18 +66,18 @@ def swing(law: Law, mode: FlexibleMode, window_s: FloatArray) -> ComplexArray:
     damped = omega * sqrt(1.0 - mode.damping_ratio**2)
     pole = mode.damping_ratio * omega + 1j * damped
     edges = law.edges
-    turned = omega * float(window_s.max(initial=0.0)) * float(np.diff(edges).max())
+    largest_phase = omega * float(window_s.max(initial=0.0)) * float(np.diff(edges).max())
     # On a short stretch of a table the law is a cubic and the phase of the mode hardly changes, so
     # few nodes are enough.
-    points = _POINTS if turned > _LITTLE else _FEW_POINTS
-    u, weights = gauss(edges, max(1, ceil(turned / _RADIANS)), points)
-    moment = law(u, 2) * weights
+    points = _POINTS if largest_phase > _LITTLE else _FEW_POINTS
+    u, weights = gauss(edges, max(1, ceil(largest_phase / _RADIANS)), points)
+    weighted_acceleration = law(u, 2) * weights
     out = np.empty(window_s.shape, dtype=np.complex128)
     rows = max(1, _CHUNK // len(u))
     for k in range(0, len(window_s), rows):
-        part = window_s[k : k + rows]
-        swung = np.exp(-pole * np.outer(part, 1.0 - u)) @ moment
-        out[k : k + rows] = swung / (part * damped)
+        windows = window_s[k : k + rows]
+        integrals = np.exp(-pole * np.outer(windows, 1.0 - u)) @ weighted_acceleration
+        out[k : k + rows] = integrals / (windows * damped)
     return out
 
 
@@ -104,17 +104,17 @@ def lasting_windows_s(
     longest_s
         Longer windows are not scanned, s.
     """
-    longest = float(moves_m.max(initial=0.0))
-    if longest == 0.0:
+    longest_move_m = float(moves_m.max(initial=0.0))
+    if longest_move_m == 0.0:
         return np.zeros(len(moves_m))
-    begin = _SHORTEST / mode.frequency_hz
-    coarse = _grid(law, mode, longest, begin, residual, longest_s)
-    windows = np.linspace(begin, float(coarse[-1]), _FINER * len(coarse))
+    shortest_s = _SHORTEST / mode.frequency_hz
+    coarse_windows = _grid(law, mode, longest_move_m, shortest_s, residual, longest_s)
+    windows = np.linspace(shortest_s, float(coarse_windows[-1]), _FINER * len(coarse_windows))
     # The largest amplitude over a window and all longer windows decreases with the window.
     worst = np.maximum.accumulate(np.abs(swing(law, mode, windows))[::-1])[::-1]
     allowed = np.divide(residual, moves_m, out=np.full(len(moves_m), np.inf), where=moves_m > 0.0)
-    at = np.searchsorted(-worst, -allowed)
-    return np.where(at > 0, windows[np.minimum(at, len(windows) - 1)], 0.0)
+    window_index = np.searchsorted(-worst, -allowed)
+    return np.where(window_index > 0, windows[np.minimum(window_index, len(windows) - 1)], 0.0)
 
 
 def ringing(
@@ -155,20 +155,20 @@ def ringing(
             f"be from 0.001 to {_MOST_PERIODS:g}",
             remedy="A mode so much slower or faster than the move rings alike by any law.",
         )
-    near = np.linspace(window_s, window_s + 3.0 * period, 3 * _PER_PERIOD + 1)
-    found = residual_m(law, mode, move_m, near)
-    top = max(float(found.max()), _FINEST * move_m)
-    longer = _grid(law, mode, move_m, window_s, top)
-    over = residual_m(law, mode, move_m, longer)
-    at = int(np.argmax(over))
-    worst, worst_at = _peak(law, mode, move_m, longer, at)
+    windows_near = np.linspace(window_s, window_s + 3.0 * period, 3 * _PER_PERIOD + 1)
+    residuals_near = residual_m(law, mode, move_m, windows_near)
+    least_worst = max(float(residuals_near.max()), _FINEST * move_m)
+    longer_windows = _grid(law, mode, move_m, window_s, least_worst)
+    longer_residuals = residual_m(law, mode, move_m, longer_windows)
+    worst_index = int(np.argmax(longer_residuals))
+    worst, worst_at = _peak(law, mode, move_m, longer_windows, worst_index)
     shortest = None
     if residual is not None:
         shortest = max(
             _window_for(law, mode, move_m, residual), sqrt(law.acceleration * move_m / acceleration)
         )
     return Ringing(
-        law=law, residual_m=float(found[0]), worst_m=worst, worst_window_s=worst_at,
+        law=law, residual_m=float(residuals_near[0]), worst_m=worst, worst_window_s=worst_at,
         window_s=shortest,
     )  # fmt: skip
 
@@ -222,34 +222,36 @@ def _peak(
     for _ in range(3):
         fine = np.linspace(low, high, 33)
         values = residual_m(law, mode, move_m, fine)
-        best = int(np.argmax(values))
-        low, high = fine[max(best - 1, 0)], fine[min(best + 1, 32)]
-    return float(values[best]), float(fine[best])
+        best_index = int(np.argmax(values))
+        low, high = fine[max(best_index - 1, 0)], fine[min(best_index + 1, 32)]
+    return float(values[best_index]), float(fine[best_index])
 
 
 def _window_for(law: Law, mode: FlexibleMode, move_m: float, residual: float) -> float:
     """Return the shortest window, s, such that all longer ones have at most ``residual``."""
-    begin = 0.25 / mode.frequency_hz
-    windows = _grid(law, mode, move_m, begin, residual)
-    near = residual_m(law, mode, move_m, windows)
-    over = np.flatnonzero(near > residual)
+    shortest_s = 0.25 / mode.frequency_hz
+    windows = _grid(law, mode, move_m, shortest_s, residual)
+    residuals = residual_m(law, mode, move_m, windows)
+    exceeding = np.flatnonzero(residuals > residual)
     # If the residual exceeds the limit only between two windows, its peak is beside a local
     # maximum.
-    lobes = 1 + np.flatnonzero((near[1:-1] >= near[:-2]) & (near[1:-1] >= near[2:]))
-    last = int(over[-1]) if len(over) else 0
-    for at in lobes[(lobes > last) & (near[lobes] > 0.98 * residual)][::-1]:
-        value, where = _peak(law, mode, move_m, windows, int(at))
+    lobes = 1 + np.flatnonzero(
+        (residuals[1:-1] >= residuals[:-2]) & (residuals[1:-1] >= residuals[2:])
+    )
+    last_exceeding = int(exceeding[-1]) if len(exceeding) else 0
+    for lobe in lobes[(lobes > last_exceeding) & (residuals[lobes] > 0.98 * residual)][::-1]:
+        value, peak_window_s = _peak(law, mode, move_m, windows, int(lobe))
         if value > residual:
-            return _crossing(law, mode, move_m, residual, where, float(windows[at + 1]))
-    if not len(over):
-        return begin
+            return _crossing(law, mode, move_m, residual, peak_window_s, float(windows[lobe + 1]))
+    if not len(exceeding):
+        return shortest_s
     return _crossing(
         law,
         mode,
         move_m,
         residual,
-        float(windows[last]),
-        float(windows[min(last + 1, len(windows) - 1)]),
+        float(windows[last_exceeding]),
+        float(windows[min(last_exceeding + 1, len(windows) - 1)]),
     )
 
 
@@ -258,6 +260,6 @@ def _crossing(
 ) -> float:
     for _ in range(40):
         middle = 0.5 * (low + high)
-        above = residual_m(law, mode, move_m, np.array([middle]))[0] > residual
-        low, high = (middle, high) if above else (low, middle)
+        exceeds = residual_m(law, mode, move_m, np.array([middle]))[0] > residual
+        low, high = (middle, high) if exceeds else (low, middle)
     return high

@@ -144,20 +144,20 @@ def made_law(demand: Demand, progress: ProgressCall | None = None) -> MadeLaw:
         or the simulation exceeds the demand.
     """
     smooth = _Spline(demand, _COEFFICIENTS, 2)
-    window = _shortest(smooth, demand, progress, "law for the mode", 0.0)
-    coefficients = smooth.solve(window)[1]
+    window_s = _shortest(smooth, demand, progress, "law for the mode", 0.0)
+    coefficients = smooth.solve(window_s)[1]
     law = _law(smooth, coefficients)
-    simulated = simulate_band(law, demand, window)
-    scale = demand.move_m / window
-    peaks = [law.velocity * scale, law.acceleration * scale / window]
-    jerk = (law.jerk or np.inf) * scale / window**2
-    if simulated > demand.residual_m or peaks[1] > 1.001 * demand.acceleration_m_s2:
+    simulated = simulate_band(law, demand, window_s)
+    scale = demand.move_m / window_s
+    peaks_si = [law.velocity * scale, law.acceleration * scale / window_s]
+    jerk = (law.jerk or np.inf) * scale / window_s**2
+    if simulated > demand.residual_m or peaks_si[1] > 1.001 * demand.acceleration_m_s2:
         raise ShaperError(
             f"law for the mode: a simulation finds {simulated * 1e3:.4g} mm after the move and "
-            f"{peaks[1]:.4g} m/s^2, more than the {demand.residual_m * 1e3:g} mm and "
+            f"{peaks_si[1]:.4g} m/s^2, more than the {demand.residual_m * 1e3:g} mm and "
             f"{demand.acceleration_m_s2:g} m/s^2 that it was made for"
         )
-    free = Demand(
+    stepping = Demand(
         mode=demand.mode, band=demand.band, move_m=demand.move_m, residual_m=demand.residual_m,
         acceleration_m_s2=demand.acceleration_m_s2, jerk_m_s3=np.inf,
     )  # fmt: skip
@@ -166,9 +166,11 @@ def made_law(demand: Demand, progress: ProgressCall | None = None) -> MadeLaw:
         acceleration_m_s2=demand.acceleration_m_s2, jerk_m_s3=np.inf,
     )  # fmt: skip
     return MadeLaw(
-        demand=demand, law=law, window_s=window, simulated_m=simulated, velocity_m_s=peaks[0],
-        acceleration_m_s2=peaks[1], jerk_m_s3=jerk,
-        free_levels_s=_shortest(_Spline(free, _LEVELS, 0), free, progress, "free levels", 0.5),
+        demand=demand, law=law, window_s=window_s, simulated_m=simulated, velocity_m_s=peaks_si[0],
+        acceleration_m_s2=peaks_si[1], jerk_m_s3=jerk,
+        free_levels_s=_shortest(
+            _Spline(stepping, _LEVELS, 0), stepping, progress, "free levels", 0.5
+        ),
         time_optimal_s=_shortest(_Spline(exact, _LEVELS, 0), exact, progress, "time-optimal", 0.8),
     )  # fmt: skip
 
@@ -189,11 +191,11 @@ def simulate_band(law: Law, demand: Demand, window_s: float) -> float:
         q, speed = state[:count], state[count:]
         return np.concatenate((speed, -base - 2.0 * zeta * omega * speed - omega**2 * q))
 
-    done = solve_ivp(
+    solution = solve_ivp(
         rates, (0.0, window_s), np.zeros(2 * count), method="DOP853", rtol=1e-8,
         atol=1e-9 * demand.move_m, max_step=window_s / 100.0,
     )  # fmt: skip
-    q, speed = done.y[:count, -1], done.y[count:, -1]
+    q, speed = solution.y[:count, -1], solution.y[count:, -1]
     damped = omega * sqrt(1.0 - zeta**2)
     return float(np.hypot(q, (speed + zeta * omega * q) / damped).max())
 
@@ -228,12 +230,12 @@ class _Spline:
 
     def __init__(self, demand: Demand, count: int, degree: int) -> None:
         self.demand, self.count, self.degree = demand, count, degree
-        inner = np.linspace(0.0, 1.0, count - degree + 1)
-        self.knots = np.concatenate((np.zeros(degree), inner, np.ones(degree)))
+        inner_knots = np.linspace(0.0, 1.0, count - degree + 1)
+        self.knots = np.concatenate((np.zeros(degree), inner_knots, np.ones(degree)))
         nodes, weights = np.polynomial.legendre.leggauss(6)
-        half = 0.5 * np.diff(inner)
-        self.u = ((inner[:-1] + half)[:, None] + half[:, None] * nodes).ravel()
-        self.weights = (half[:, None] * weights).ravel()
+        half_widths = 0.5 * np.diff(inner_knots)
+        self.u = ((inner_knots[:-1] + half_widths)[:, None] + half_widths[:, None] * nodes).ravel()
+        self.weights = (half_widths[:, None] * weights).ravel()
         from scipy.interpolate import BSpline
 
         self.basis = BSpline.design_matrix(self.u, self.knots, degree).toarray()
@@ -245,19 +247,19 @@ class _Spline:
     def residual_rows(self, window_s: float) -> FloatArray:
         """Return (rows, count) residual over the wanted one, by frequency and direction."""
         d = self.demand
-        parted = 2.0 * d.band * d.mode.frequency_hz * window_s
-        count = int(min(max(5.0, np.ceil(_FREQUENCIES * parted)), MOST_FREQUENCIES))
+        phase_turns = 2.0 * d.band * d.mode.frequency_hz * window_s
+        count = int(min(max(5.0, np.ceil(_FREQUENCIES * phase_turns)), MOST_FREQUENCIES))
         omega = 2.0 * pi * _band(d, count)
         zeta = d.mode.damping_ratio
         damped = omega * sqrt(1.0 - zeta**2)
         pole = zeta * omega + 1j * damped
-        turned = np.exp(-window_s * pole[:, None] * (1.0 - self.u)) * self.weights
-        per = (turned @ self.basis) * (d.move_m / (window_s * damped * _KEPT * d.residual_m))[
-            :, None
-        ]
+        weighted_decay = np.exp(-window_s * pole[:, None] * (1.0 - self.u)) * self.weights
+        relative_rows = (weighted_decay @ self.basis) * (
+            d.move_m / (window_s * damped * _KEPT * d.residual_m)
+        )[:, None]
         angles = 2.0 * pi * np.arange(_SIDES) / _SIDES
         # A residual within the sides of a polygon inside the circle is within the circle.
-        sides = np.exp(-1j * angles)[:, None, None] * per / cos(pi / _SIDES)
+        sides = np.exp(-1j * angles)[:, None, None] * relative_rows / cos(pi / _SIDES)
         return np.asarray(sides.real.reshape(-1, self.count))
 
     def solve(self, window_s: float) -> tuple[float, FloatArray]:
@@ -271,53 +273,54 @@ class _Spline:
         if self.degree and np.isfinite(d.jerk_m_s3):
             spans = self.knots[self.degree + 1 : self.degree + n] - self.knots[1:n]
             slopes = np.diff(np.eye(n), axis=0) * self.degree / spans[:, None]
-            most = d.jerk_m_s3 * window_s**3 / d.move_m
+            bound = d.jerk_m_s3 * window_s**3 / d.move_m
             for sign in (1.0, -1.0):
                 rows.append(np.hstack((sign * slopes, np.zeros((n - 1, 1)))))
-                values.append(np.full(n - 1, most))
-        most = d.acceleration_m_s2 * window_s**2 / d.move_m
-        end = (0.0, 0.0) if self.degree else (-most, most)
+                values.append(np.full(n - 1, bound))
+        bound = d.acceleration_m_s2 * window_s**2 / d.move_m
+        end_bounds = (0.0, 0.0) if self.degree else (-bound, bound)
         equal = np.zeros((2, n + 1))
         equal[0, :n], equal[1, :n] = self.rise, self.velocity[-1]
-        solved = minimise(
+        solution = minimise(
             np.append(np.zeros(n), 1.0),
             equal=(equal, np.array([1.0, 0.0])),
             below=(np.vstack(rows), np.concatenate(values)),
-            bounds=[end, *[(-most, most)] * (n - 2), end, (0.0, None)],
+            bounds=[end_bounds, *[(-bound, bound)] * (n - 2), end_bounds, (0.0, None)],
             what="law for the mode",
             seconds=30.0,
         )
-        return float(solved.x[-1]), solved.x[:-1]
+        return float(solution.x[-1]), solution.x[:-1]
 
 
 def _shortest(
-    spline: _Spline, demand: Demand, progress: ProgressCall | None, what: str, begun: float
+    spline: _Spline, demand: Demand, progress: ProgressCall | None, what: str, progress_begun: float
 ) -> float:
     """Return the shortest window in which the program keeps the residual, to 0.05 ms."""
 
-    def will_do(window_s: float) -> bool:
+    def suffices(window_s: float) -> bool:
         try:
             return spline.solve(window_s)[0] <= 1.0
         except InfeasibleError:
             return False
 
     low, high = 0.999 * demand.rigid_s, 1.25 * demand.rigid_s
-    longest = high + _LONGEST / demand.mode.frequency_hz
-    while not will_do(high):
-        if high > longest:
+    longest_s = high + _LONGEST / demand.mode.frequency_hz
+    while not suffices(high):
+        if high > longest_s:
             raise ShaperError(
-                f"{what}: no window up to {longest * 1e3:.4g} ms keeps {demand.residual_m * 1e3:g} "
-                f"mm over +-{demand.band * 100:g} % of {demand.mode.frequency_hz:g} Hz",
+                f"{what}: no window up to {longest_s * 1e3:.4g} ms keeps "
+                f"{demand.residual_m * 1e3:g} mm over +-{demand.band * 100:g} % of "
+                f"{demand.mode.frequency_hz:g} Hz",
                 remedy="Allow more acceleration, more residual or a narrower band.",
             )
         low, high = high, 1.5 * high
-    first = high - low
+    first_width = high - low
     while high - low > _STEP_S:
         middle = 0.5 * (low + high)
-        low, high = (low, middle) if will_do(middle) else (middle, high)
+        low, high = (low, middle) if suffices(middle) else (middle, high)
         if progress is not None:
-            share = np.log(first / (high - low)) / np.log(first / _STEP_S)
-            progress(what, min(1.0, begun + 0.2 * float(share)))
+            share = np.log(first_width / (high - low)) / np.log(first_width / _STEP_S)
+            progress(what, min(1.0, progress_begun + 0.2 * float(share)))
     return high
 
 

@@ -34,9 +34,9 @@ def crossing(function: Callable[[float], float], start: float, end: float, *, xt
     """
     from scipy.optimize import brentq
 
-    first, last = function(start), function(end)
-    if (first > 0.0) == (last > 0.0):
-        return start if abs(first) <= abs(last) else end
+    start_value, end_value = function(start), function(end)
+    if (start_value > 0.0) == (end_value > 0.0):
+        return start if abs(start_value) <= abs(end_value) else end
     return float(brentq(function, start, end, xtol=xtol, rtol=1e-15))
 
 
@@ -93,13 +93,13 @@ def zero_rows(zeros: Sequence[ZeroOf], delay: FloatArray) -> list[ComplexArray]:
     program would meet only one of two almost equal rows.
     """
     rows: list[ComplexArray] = []
-    before: tuple[complex, ComplexArray] | None = None
+    previous: tuple[complex, ComplexArray] | None = None
     for f, s, order in sorted(zeros, key=lambda zero: (zero[2], zero[0], zero[1].real)):
         row: ComplexArray = (s * delay) ** order * np.exp(s * f * delay) / (2.0 * np.pi) ** order
-        plain = (s * f, row)
-        if order == 0 and before is not None and 0.0 < abs(before[0] - s * f) < 1.0:
-            row = (row - before[1]) / abs(before[0] - s * f)
-        before = plain if order == 0 else None
+        undivided = (s * f, row)
+        if order == 0 and previous is not None and 0.0 < abs(previous[0] - s * f) < 1.0:
+            row = (row - previous[1]) / abs(previous[0] - s * f)
+        previous = undivided if order == 0 else None
         rows.append(row)
     return rows
 

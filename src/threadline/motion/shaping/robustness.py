@@ -122,9 +122,13 @@ def _stretches(begin: float, end: float, count: int) -> Iterator[FloatArray]:
     The crossing is usually in the first stretch. For a long train on a fast mode, a grid over the
     whole range would have millions of points.
     """
-    for first in range(0, count, _GRID_POINTS_A_STEP):
-        at = np.arange(max(first - 1, 0), min(first + _GRID_POINTS_A_STEP + 1, count) + 1)
-        yield np.maximum(begin + (end - begin) / count * at, 0.0)  # a rounding below 0 is clamped
+    for first_step in range(0, count, _GRID_POINTS_A_STEP):
+        step_numbers = np.arange(
+            max(first_step - 1, 0), min(first_step + _GRID_POINTS_A_STEP + 1, count) + 1
+        )
+        yield np.maximum(
+            begin + (end - begin) / count * step_numbers, 0.0
+        )  # a rounding below 0 is clamped
 
 
 def _first_crossing(
@@ -136,17 +140,17 @@ def _first_crossing(
     """
     from scipy.optimize import minimize_scalar
 
-    over = np.flatnonzero(v > limit)
-    stop = int(over[0]) if len(over) else len(grid) - 1
-    tops = np.flatnonzero((v[1:stop] >= v[: stop - 1]) & (v[1:stop] > v[2 : stop + 1])) + 1
-    for i in tops[v[tops] > 0.98 * limit]:
+    exceeding = np.flatnonzero(v > limit)
+    stop = int(exceeding[0]) if len(exceeding) else len(grid) - 1
+    maxima = np.flatnonzero((v[1:stop] >= v[: stop - 1]) & (v[1:stop] > v[2 : stop + 1])) + 1
+    for i in maxima[v[maxima] > 0.98 * limit]:
         low, high = sorted((float(grid[i - 1]), float(grid[i + 1])))
-        found = minimize_scalar(
+        maximum = minimize_scalar(
             lambda f: -excess(f), bounds=(low, high), method="bounded", options={"xatol": 1e-12}
         )
-        if -found.fun > 0.0:
-            return crossing(excess, float(grid[i - 1]), float(found.x), xtol=1e-14)
-    if not len(over):
+        if -maximum.fun > 0.0:
+            return crossing(excess, float(grid[i - 1]), float(maximum.x), xtol=1e-14)
+    if not len(exceeding):
         return None
     return crossing(excess, float(grid[stop - 1]), float(grid[stop]), xtol=1e-14)
 
@@ -199,15 +203,15 @@ def check_higher_modes(
     low, high = SEARCHED_RATIO
     peak, peak_hz = 0.0, low * mode.frequency_hz
     count = int(np.ceil((high - low) / ripple)) + 1
-    for first in range(0, count, _FREQUENCIES_A_STEP):
-        at = np.arange(first, min(first + _FREQUENCIES_A_STEP, count))
-        f = mode.frequency_hz * (low + ripple * at)
+    for first_step in range(0, count, _FREQUENCIES_A_STEP):
+        step_numbers = np.arange(first_step, min(first_step + _FREQUENCIES_A_STEP, count))
+        f = mode.frequency_hz * (low + ripple * step_numbers)
         v = residual_vibration(shaper, f, mode.damping_ratio)
-        most = float(v.max())
-        if most > peak * _ALIKE:
-            peak, peak_hz = most, float(f[int(np.argmax(v * _ALIKE >= most))])
-    judged = ((m, vibration_of(shaper, m)) for m in known if m.frequency_hz > mode.frequency_hz)
-    excited = tuple((m, gain) for m, gain in judged if gain > 1.0 + 1e-9)
+        largest = float(v.max())
+        if largest > peak * _ALIKE:
+            peak, peak_hz = largest, float(f[int(np.argmax(v * _ALIKE >= largest))])
+    gains = ((m, vibration_of(shaper, m)) for m in known if m.frequency_hz > mode.frequency_hz)
+    excited = tuple((m, gain) for m, gain in gains if gain > 1.0 + 1e-9)
     warnings = [
         f"shaper '{shaper.name}' excites the mode at {m.frequency_hz:.4g} Hz {gain:.2f} times "
         "as much as the unshaped command"

@@ -58,8 +58,8 @@ class Band:
         width = self.high_hz - self.low_hz
         if width <= 0.0:
             return np.array([self.mode.frequency_hz])
-        wanted = int(np.ceil(_PER_RIPPLE * width * duration_s))
-        count = finer * min(max(wanted, _FEWEST), _MOST)
+        ripple_samples = int(np.ceil(_PER_RIPPLE * width * duration_s))
+        count = finer * min(max(ripple_samples, _FEWEST), _MOST)
         return np.linspace(self.low_hz, self.high_hz, count)
 
 
@@ -93,9 +93,12 @@ class TickGrid:
         )
         self._turn: ComplexArray = np.asarray(poles * self.frequency_hz * tick_s, np.complex128)
         self._last = last
-        largest = max(band.tolerance for band in bands)
+        largest_tolerance = max(band.tolerance for band in bands)
         self._share = np.concatenate(
-            [np.full(len(f), b.tolerance / largest) for f, b in zip(samples, bands, strict=True)]
+            [
+                np.full(len(f), b.tolerance / largest_tolerance)
+                for f, b in zip(samples, bands, strict=True)
+            ]
         )
 
         # The index of the sample nearest to the modelled frequency in each band, and the tolerance.
@@ -106,23 +109,23 @@ class TickGrid:
                 for begin, f, band in zip(begins[:-1], samples, bands, strict=True)
             ]
         )
-        self._allowed = largest
+        self._allowed = largest_tolerance
 
     def keeps_its_mode(self, vibration: FloatArray) -> NDArray[np.bool_]:
         """Return whether V (..., frequencies) is in tolerance at the modelled frequencies."""
-        found: NDArray[np.bool_] = np.all(vibration[..., self._own] <= self._allowed, axis=-1)
-        return found
+        keeps: NDArray[np.bool_] = np.all(vibration[..., self._own] <= self._allowed, axis=-1)
+        return keeps
 
     def impulses(self, ticks: IntArray) -> ComplexArray:
         """Return (..., frequencies) responses to a unit impulse at each of the ``ticks`` (...,)."""
-        found: ComplexArray = np.exp(self._turn * (np.asarray(ticks)[..., None] - self._last))
-        return found
+        responses: ComplexArray = np.exp(self._turn * (np.asarray(ticks)[..., None] - self._last))
+        return responses
 
     def vibration(self, response: ComplexArray, last: IntArray) -> FloatArray:
         """Return V (..., frequencies) from sums of impulses, for trains that end at ``last``."""
         decay = np.exp(-self._turn.real * (np.asarray(last)[..., None] - self._last))
-        found: FloatArray = np.abs(response) * decay / self._share
-        return found
+        scaled_vibration: FloatArray = np.abs(response) * decay / self._share
+        return scaled_vibration
 
 
 def seconds(ticks: IntArray, tick_s: float) -> FloatArray:
@@ -133,8 +136,8 @@ def seconds(ticks: IntArray, tick_s: float) -> FloatArray:
 def cost(vibration: FloatArray, mean_weight: float = _MEAN_WEIGHTS[0]) -> FloatArray:
     """Return (...,) the largest V over the frequencies plus a share of its root mean square."""
     mean_square = np.mean(vibration**2, axis=-1)
-    found: FloatArray = vibration.max(axis=-1) + mean_weight * np.sqrt(mean_square)
-    return found
+    costs: FloatArray = vibration.max(axis=-1) + mean_weight * np.sqrt(mean_square)
+    return costs
 
 
 def on_ticks(
@@ -155,15 +158,17 @@ def on_ticks(
     """
     seen: dict[tuple[int, ...], None] = {}
     for weight in _MEAN_WEIGHTS:
-        latest = max(int(start[-1]), int(np.ceil(exact[-1] - 1e-9)) + _LONGER)
-        search = _Search(amplitudes, gap, grid, weight, latest)
-        for begin in itertools.chain([start], search.either_side(exact), search.shrunk(exact)):
-            search.improve(begin)
+        latest_tick = max(int(start[-1]), int(np.ceil(exact[-1] - 1e-9)) + _LONGER)
+        search = _Search(amplitudes, gap, grid, weight, latest_tick)
+        for start_ticks in itertools.chain(
+            [start], search.either_side(exact), search.shrunk(exact)
+        ):
+            search.improve(start_ticks)
         search.every_one_about(start)
         ranked = sorted(search.seen.items(), key=lambda pair: (pair[1], pair[0]))
         seen |= dict.fromkeys(ticks for ticks, _ in ranked[:_KEPT])
-        sound = (ticks for ticks, _ in ranked if ticks in search.sound)
-        seen |= dict.fromkeys(itertools.islice(sound, _KEPT))
+        without_hump = (ticks for ticks, _ in ranked if ticks in search.sound)
+        seen |= dict.fromkeys(itertools.islice(without_hump, _KEPT))
     return [np.array(ticks, dtype=np.int64) for ticks in seen]
 
 
@@ -183,31 +188,35 @@ class _Search:
 
     def every_one_about(self, start: IntArray) -> None:
         """Try every train with each impulse within a few ticks of its start."""
-        free = len(start) - 1
-        if not free:  # a train of one impulse stays at time 0
+        free_impulses = len(start) - 1
+        if not free_impulses:  # a train of one impulse stays at time 0
             return
-        reach = (
-            _FARTHEST if free == 1 else min(int((_EVERY ** (1.0 / free) - 1.0) / 2.0), _FARTHEST)
+        reach_ticks = (
+            _FARTHEST
+            if free_impulses == 1
+            else min(int((_EVERY ** (1.0 / free_impulses) - 1.0) / 2.0), _FARTHEST)
         )
-        if reach < 1:
+        if reach_ticks < 1:
             return
-        shifts = np.array(list(itertools.product(range(-reach, reach + 1), repeat=free)))
+        shifts = np.array(
+            list(itertools.product(range(-reach_ticks, reach_ticks + 1), repeat=free_impulses))
+        )
         trains = start + np.pad(shifts, ((0, 0), (1, 0)))
         fits = np.all(np.diff(trains, axis=1) >= self._gap, axis=1)
         trains = trains[fits & (trains[:, -1] <= self._latest)]
-        best: list[tuple[float, bool, tuple[int, ...]]] = []
-        for some in np.array_split(trains, max(1, len(trains) // _AT_ONCE)):
-            response = np.zeros((len(some), len(self._grid.frequency_hz)), dtype=np.complex128)
-            for amplitude, at in zip(self._amplitudes, some.T, strict=True):
-                of_one, place = np.unique(at, return_inverse=True)
-                response += (amplitude * self._grid.impulses(of_one))[place]
-            vibration = self._grid.vibration(response, some[:, -1])
+        best_trains: list[tuple[float, bool, tuple[int, ...]]] = []
+        for batch in np.array_split(trains, max(1, len(trains) // _AT_ONCE)):
+            response = np.zeros((len(batch), len(self._grid.frequency_hz)), dtype=np.complex128)
+            for amplitude, impulse_ticks in zip(self._amplitudes, batch.T, strict=True):
+                distinct_ticks, tick_index = np.unique(impulse_ticks, return_inverse=True)
+                response += (amplitude * self._grid.impulses(distinct_ticks))[tick_index]
+            vibration = self._grid.vibration(response, batch[:, -1])
             values, keeps = cost(vibration, self._weight), self._grid.keeps_its_mode(vibration)
-            for chosen in (keeps, ~keeps):
-                of_these = np.flatnonzero(chosen)
-                for k in of_these[np.argsort(values[of_these], kind="stable")[:_KEPT]]:
-                    best.append((float(values[k]), bool(keeps[k]), tuple(some[k].tolist())))
-        for value, keeps_its_mode, ticks in best:
+            for mask in (keeps, ~keeps):
+                indices = np.flatnonzero(mask)
+                for k in indices[np.argsort(values[indices], kind="stable")[:_KEPT]]:
+                    best_trains.append((float(values[k]), bool(keeps[k]), tuple(batch[k].tolist())))
+        for value, keeps_its_mode, ticks in best_trains:
             self.seen.setdefault(ticks, value)
             if keeps_its_mode:
                 self.sound.add(ticks)
@@ -220,8 +229,8 @@ class _Search:
         n = len(exact)
         if n > _EITHER_SIDE:
             return
-        low = np.floor(exact).astype(np.int64)
-        choices = low + np.array([(0, *c) for c in itertools.product((0, 1), repeat=n - 1)])
+        lower_ticks = np.floor(exact).astype(np.int64)
+        choices = lower_ticks + np.array([(0, *c) for c in itertools.product((0, 1), repeat=n - 1)])
         choices = choices[np.all(np.diff(choices, axis=1) >= self._gap, axis=1)]
         if not len(choices):
             return
@@ -259,56 +268,62 @@ class _Search:
 
     def _shifted(self, ticks: IntArray, index: int) -> ComplexArray:
         """Return the change of the response for each shift of an impulse, (4, frequencies)."""
-        moved = self._grid.impulses(ticks[index] + _SHIFTS) - self._grid.impulses(ticks[index])
-        found: ComplexArray = self._amplitudes[index] * moved
-        return found
+        response_change = self._grid.impulses(ticks[index] + _SHIFTS) - self._grid.impulses(
+            ticks[index]
+        )
+        weighted_change: ComplexArray = self._amplitudes[index] * response_change
+        return weighted_change
 
     def _one_by_one(self, ticks: IntArray, value: float) -> tuple[IntArray, float] | None:
         """Move each impulse once to its best tick; return train and cost, None if all stay."""
-        now, best = ticks.copy(), value
-        response = self._amplitudes @ self._grid.impulses(now)
-        for i in range(1, len(now)):
-            gains = self._shifted(now, i)
-            last = now[-1] + (_SHIFTS if i == len(now) - 1 else 0 * _SHIFTS)
-            values = self._cost(response + gains, last)
-            values[~self._fits(now, i)] = np.inf
+        new_ticks, best_cost = ticks.copy(), value
+        response = self._amplitudes @ self._grid.impulses(new_ticks)
+        for i in range(1, len(new_ticks)):
+            changes = self._shifted(new_ticks, i)
+            last = new_ticks[-1] + (_SHIFTS if i == len(new_ticks) - 1 else 0 * _SHIFTS)
+            values = self._cost(response + changes, last)
+            values[~self._fits(new_ticks, i)] = np.inf
             k = int(np.argmin(values))
-            if values[k] < best * (1.0 - 1e-12):
-                now[i] += _SHIFTS[k]
-                response, best = response + gains[k], float(values[k])
-                self._note(now, best)
-        return None if best == value else (now, best)
+            if values[k] < best_cost * (1.0 - 1e-12):
+                new_ticks[i] += _SHIFTS[k]
+                response, best_cost = response + changes[k], float(values[k])
+                self._note(new_ticks, best_cost)
+        return None if best_cost == value else (new_ticks, best_cost)
 
     def _fits(self, ticks: IntArray, i: int) -> NDArray[np.bool_]:
-        moved = ticks[i] + _SHIFTS
-        fits: NDArray[np.bool_] = (moved - ticks[i - 1] >= self._gap) & (moved <= self._latest)
+        shifted_ticks = ticks[i] + _SHIFTS
+        fits: NDArray[np.bool_] = (shifted_ticks - ticks[i - 1] >= self._gap) & (
+            shifted_ticks <= self._latest
+        )
         if i + 1 < len(ticks):
-            fits &= ticks[i + 1] - moved >= self._gap
+            fits &= ticks[i + 1] - shifted_ticks >= self._gap
         return fits
 
     def _pair(self, ticks: IntArray, value: float) -> tuple[IntArray, float] | None:
         """Return train and cost after the best shift of two impulses; None if not better."""
         n = len(ticks)
-        gains = np.array([self._shifted(ticks, i) for i in range(1, n)])  # (n - 1, 4, f)
+        changes = np.array([self._shifted(ticks, i) for i in range(1, n)])  # (n - 1, 4, f)
         response = self._amplitudes @ self._grid.impulses(ticks)
-        best, found = value * (1.0 - 1e-12), None
+        best_cost, best_ticks = value * (1.0 - 1e-12), None
         for i in range(1, n - 1):
-            both = response + gains[i - 1][:, None, None, :] + gains[None, i:]  # (4, rest, 4, f)
-            last = np.full(both.shape[:-1], ticks[-1])
+            responses = (
+                response + changes[i - 1][:, None, None, :] + changes[None, i:]
+            )  # (4, rest, 4, f)
+            last = np.full(responses.shape[:-1], ticks[-1])
             last[:, -1, :] += _SHIFTS
-            values = self._cost(both, last)
+            values = self._cost(responses, last)
             for flat in np.argsort(values, axis=None)[:64]:
                 a, rest, b = np.unravel_index(int(flat), values.shape)
-                if values[a, rest, b] >= best:
+                if values[a, rest, b] >= best_cost:
                     break
                 trial = ticks.copy()
                 trial[i] += _SHIFTS[a]
                 trial[i + 1 + rest] += _SHIFTS[b]
                 if np.diff(trial).min() >= self._gap and trial[-1] <= self._latest:
-                    best, found = float(values[a, rest, b]), trial
-                    self._note(trial, best)
+                    best_cost, best_ticks = float(values[a, rest, b]), trial
+                    self._note(trial, best_cost)
                     break
-        return None if found is None else (found, best)
+        return None if best_ticks is None else (best_ticks, best_cost)
 
 
 _MOST_AMPLITUDE_STEPS = 40
@@ -350,24 +365,24 @@ def with_amplitudes(
 
 
 def _descend(ticks: IntArray, gap: int, value: Callable[[IntArray], float]) -> IntArray:
-    best, least = ticks, value(ticks)
+    best_ticks, least_cost = ticks, value(ticks)
     singles = [(i,) for i in range(1, len(ticks))]
     pairs = list(itertools.pairwise(range(1, len(ticks))))
     for _ in range(_MOST_AMPLITUDE_STEPS):
-        found = None
-        for moved in [*singles, *pairs]:
-            for shift in itertools.product((-2, -1, 1, 2), repeat=len(moved)):
-                trial = best.copy()
-                trial[list(moved)] += shift
+        best_trial = None
+        for moved_impulses in [*singles, *pairs]:
+            for shift in itertools.product((-2, -1, 1, 2), repeat=len(moved_impulses)):
+                trial = best_ticks.copy()
+                trial[list(moved_impulses)] += shift
                 if np.diff(trial).min() < gap:
                     continue
-                tried = value(trial)
-                if tried < least * (1.0 - 1e-12):
-                    found, least = trial, tried
-        if found is None:
+                trial_cost = value(trial)
+                if trial_cost < least_cost * (1.0 - 1e-12):
+                    best_trial, least_cost = trial, trial_cost
+        if best_trial is None:
             break
-        best = found
-    return best
+        best_ticks = best_trial
+    return best_ticks
 
 
 def _amplitudes(
@@ -384,8 +399,8 @@ def _amplitudes(
     matrix = np.vstack((rows.real, rows.imag, _SUM_WEIGHT * np.ones((1, len(times_s)))))
     target = np.append(np.zeros(2 * len(rows)), _SUM_WEIGHT)
     if positive:
-        found = lsq_linear(matrix, target, bounds=(0.0, np.inf), method="bvls").x
+        solution = lsq_linear(matrix, target, bounds=(0.0, np.inf), method="bvls").x
     else:
-        found = np.linalg.lstsq(matrix, target, rcond=None)[0]
-    solved: FloatArray = found / found.sum()
-    return solved
+        solution = np.linalg.lstsq(matrix, target, rcond=None)[0]
+    amplitudes: FloatArray = solution / solution.sum()
+    return amplitudes

@@ -45,19 +45,19 @@ class _Shifted:
         edges = self.law.edges * self.length
         if self.from_end:
             edges = self.length - edges[::-1]
-        found = np.unique(np.add.outer(np.array(self.delays), edges))
-        return tuple(found[(found > 0.0) & (found < 1.0)].tolist())
+        all_edges = np.unique(np.add.outer(np.array(self.delays), edges))
+        return tuple(all_edges[(all_edges > 0.0) & (all_edges < 1.0)].tolist())
 
     def value(self, t: FloatArray, derivative: int) -> FloatArray:
         out = np.zeros_like(t)
         for share, delay in zip(self.shares, self.delays, strict=True):
             inside = t > delay
-            since = (t[inside] - delay) / self.length
+            law_time = (t[inside] - delay) / self.length
             if self.from_end:
-                part = _left(self.law, since, derivative)
+                rise = _left(self.law, law_time, derivative)
             else:
-                part = self.law(since, derivative)
-            out[inside] += share * part / self.length**derivative
+                rise = self.law(law_time, derivative)
+            out[inside] += share * rise / self.length**derivative
         return out
 
 
@@ -67,12 +67,12 @@ def _left(law: Law, since: FloatArray, derivative: int) -> FloatArray:
     ``since`` (n,) counts back from the end of the law. Above 1, before the law begins, the result
     is 1.
     """
-    near = since <= 1.0 - law.meets
+    in_closing = since <= 1.0 - law.meets
     out = np.empty_like(since)
-    out[near] = law.left(since[near], derivative)
-    early = 1.0 - since[~near]
-    value = law(early, derivative)
-    out[~near] = 1.0 - value if derivative == 0 else value if derivative % 2 else -value
+    out[in_closing] = law.left(since[in_closing], derivative)
+    opening_time = 1.0 - since[~in_closing]
+    value = law(opening_time, derivative)
+    out[~in_closing] = 1.0 - value if derivative == 0 else value if derivative % 2 else -value
     return out
 
 
@@ -118,25 +118,29 @@ def shaped_windows(law: Law, demand: Demand) -> list[ShapedWindow]:
     that meet the demand in none of them are left out. The jerk is not limited.
     """
     d = demand
-    found = []
+    shaped = []
     ratios = np.array([1.0]) if d.band == 0.0 else np.linspace(1.0 - d.band, 1.0 + d.band, _BAND)
     frequencies, zeta = ratios * d.mode.frequency_hz, d.mode.damping_ratio
-    own = np.arange(0.5 * d.rigid_s, 4.0 * d.rigid_s, _STEP_S)
-    left = np.array([residual_m(law, FlexibleMode(f, zeta), d.move_m, own) for f in frequencies])
+    law_windows_s = np.arange(0.5 * d.rigid_s, 4.0 * d.rigid_s, _STEP_S)
+    residuals_m = np.array(
+        [residual_m(law, FlexibleMode(f, zeta), d.move_m, law_windows_s) for f in frequencies]
+    )
     for kind in SHAPED:
         shaper = design(kind, d.mode)
         # The residual of the shaped law is the residual of the law times V of the shaper.
         share = residual_vibration(shaper, frequencies, zeta)
-        for length in own[(left * share[:, None] <= d.residual_m).all(axis=0)].tolist():
+        for length in law_windows_s[
+            (residuals_m * share[:, None] <= d.residual_m).all(axis=0)
+        ].tolist():
             # The window is rounded up to whole microseconds, so that the name states it exactly.
             window = ceil((length + shaper.duration_s) * 1e6) / 1e6
             words = f"{law.name}*{kind.value}:{d.mode.frequency_hz!r}Hz:{zeta!r}"
             name = f"{words} in {round(window * 1e3, 3)!r} ms"
-            made = replace(shaped_law(law, shaper, window), name=name)
-            if made.acceleration * d.move_m / window**2 <= d.acceleration_m_s2:
-                found.append(ShapedWindow(law=made, window_s=window))
+            candidate = replace(shaped_law(law, shaper, window), name=name)
+            if candidate.acceleration * d.move_m / window**2 <= d.acceleration_m_s2:
+                shaped.append(ShapedWindow(law=candidate, window_s=window))
                 break
-    return found
+    return shaped
 
 
 _EXAMPLE = 'Write it like "modified-sine*zv:12Hz:0.02 in 160 ms".'

@@ -89,25 +89,27 @@ def follow(
         If the solution is lost even with 2**-12 of the step.
     """
     x = newton(system_at(start), seed, what)
-    at, tangent = start, np.zeros_like(x)
-    size = float(np.copysign(step, end - start))
-    smallest = step * 2.0**-12
-    while at != end:
-        size = end - at if abs(end - at) <= abs(size) else size
+    parameter, tangent = start, np.zeros_like(x)
+    signed_step = float(np.copysign(step, end - start))
+    least_step = step * 2.0**-12
+    while parameter != end:
+        signed_step = end - parameter if abs(end - parameter) <= abs(signed_step) else signed_step
         try:
-            moved = newton(system_at(at + size), x + tangent * size, what, iterations=12)
+            next_x = newton(
+                system_at(parameter + signed_step), x + tangent * signed_step, what, iterations=12
+            )
             # A large jump means that Newton's method found another branch.
-            if np.abs(moved - x - tangent * size).max() > 0.1:
+            if np.abs(next_x - x - tangent * signed_step).max() > 0.1:
                 raise ShaperError(f"{what}: the followed solution was lost")
         except ShaperError:
-            size *= 0.5
-            if abs(size) < smallest:
+            signed_step *= 0.5
+            if abs(signed_step) < least_step:
                 raise
             continue
-        at, tangent, x = at + size, (moved - x) / size, moved
-        size *= 1.5
-        size = float(np.copysign(min(abs(size), step), end - start))
-        if abs(end - at) < 1e-15 * max(1.0, abs(end)):
+        parameter, tangent, x = parameter + signed_step, (next_x - x) / signed_step, next_x
+        signed_step *= 1.5
+        signed_step = float(np.copysign(min(abs(signed_step), step), end - start))
+        if abs(end - parameter) < 1e-15 * max(1.0, abs(end)):
             break
     return x
 
@@ -148,13 +150,13 @@ def minimise(
     ShaperError
         If the solver fails otherwise.
     """
-    found = solved(cost, equal=equal, below=below, bounds=bounds, seconds=seconds)
-    if found.status == 2:
+    result = solved(cost, equal=equal, below=below, bounds=bounds, seconds=seconds)
+    if result.status == 2:
         raise InfeasibleError(f"{what}: not found, no x on its grid meets the constraints")
-    if found.status != 0 or found.x is None or found.fun is None:
-        raise ShaperError(f"{what}: the linear program failed: {found.message}")
+    if result.status != 0 or result.x is None or result.fun is None:
+        raise ShaperError(f"{what}: the linear program failed: {result.message}")
     return Solution(
-        np.asarray(found.x, dtype=np.float64),
-        float(found.fun),
-        np.asarray(found.eqlin.marginals, dtype=np.float64),
+        np.asarray(result.x, dtype=np.float64),
+        float(result.fun),
+        np.asarray(result.eqlin.marginals, dtype=np.float64),
     )

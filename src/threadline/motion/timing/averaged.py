@@ -62,14 +62,14 @@ class Averages(Locked):
 
     def __post_init__(self) -> None:
         for name in ("weights", "starts", "stops"):
-            given = getattr(self, name)
-            if given is None:
+            weights = getattr(self, name)
+            if weights is None:
                 continue
-            object.__setattr__(self, name, read_only(given, name, ndim=2))
-            if len(given) % 2 == 0:
-                raise ValueError(f"the number of weights must be odd, got {len(given)}")
-            if given.shape != self.weights.shape:
-                raise ValueError(f"{name} must have the shape of weights, got {given.shape}")
+            object.__setattr__(self, name, read_only(weights, name, ndim=2))
+            if len(weights) % 2 == 0:
+                raise ValueError(f"the number of weights must be odd, got {len(weights)}")
+            if weights.shape != self.weights.shape:
+                raise ValueError(f"{name} must have the shape of weights, got {weights.shape}")
 
     @property
     def width_s(self) -> float:
@@ -115,8 +115,8 @@ def spline_basis() -> FloatArray:
     element = BSpline.basis_element(np.arange(DEGREE + 2.0))
     pieces = PPoly.from_spline((element.t, element.c, element.k))
     start = int(np.searchsorted(pieces.x, 0.0))
-    part = pieces.c[::-1, start : start + DEGREE + 1]
-    return np.asarray(part[:, ::-1])
+    pieces_used = pieces.c[::-1, start : start + DEGREE + 1]
+    return np.asarray(pieces_used[:, ::-1])
 
 
 def held_trajectory(
@@ -155,14 +155,16 @@ def averaged_trajectory(held: Trajectory, averages: Averages) -> Trajectory:
 
 def _rests(job: Job) -> Iterator[int]:
     """Yield the index of the first operation of every group that needs the machine at rest."""
-    due: int | None = None
+    first_index: int | None = None
     for index, operation in enumerate(job):
         if isinstance(operation, Move):
-            if due is not None:
-                yield due
-            due = None
-        elif due is None and not (isinstance(operation, Dwell) and operation.duration_s == 0.0):
-            due = index
+            if first_index is not None:
+                yield first_index
+            first_index = None
+        elif first_index is None and not (
+            isinstance(operation, Dwell) and operation.duration_s == 0.0
+        ):
+            first_index = index
 
 
 def _held(
@@ -170,38 +172,43 @@ def _held(
 ) -> Iterator[TrajectoryBlock]:
     rests = _rests(job)
     rest = next(rests, None)
-    now = 0.0
-    last: tuple[FloatArray, int] | None = None  # its last standstill, and the operation
+    now_s = 0.0
+    standstill: tuple[FloatArray, int] | None = None  # its last standstill, and the operation
     for block in trajectory:
         if not len(block):
             continue
-        if last is None:
-            last = (block.coefficients[0, 0], int(block.operation[0]))
-            yield _still(*last, now, before_s)
-            now += before_s
-        before = np.concatenate([[last[1]], block.operation[:-1]])
-        begin = 0
+        if standstill is None:
+            standstill = (block.coefficients[0, 0], int(block.operation[0]))
+            yield _still(*standstill, now_s, before_s)
+            now_s += before_s
+        operation_before = np.concatenate([[standstill[1]], block.operation[:-1]])
+        first = 0
         # Only where operations are skipped can there be anything between two moves.
-        for at in np.flatnonzero(block.operation > before + 1).tolist():
-            due = False
-            while rest is not None and rest < block.operation[at]:
-                due |= rest > before[at]
+        for piece in np.flatnonzero(block.operation > operation_before + 1).tolist():
+            needs_rest = False
+            while rest is not None and rest < block.operation[piece]:
+                needs_rest |= rest > operation_before[piece]
                 rest = next(rests, None)
-            if not due:
+            if not needs_rest:
                 continue
-            if at > begin:
-                yield _moved(block, begin, at, now)
-                now += float(block.start_s[at] - block.start_s[begin])
-                last = (block.coefficients[at - 1].sum(axis=0), int(block.operation[at - 1]))
-            begin = at
-            yield _still(*last, now, 0.5 * width_s)
-            yield _still(last[0], int(block.operation[at]), now + 0.5 * width_s, 0.5 * width_s)
-            now += width_s
-        yield _moved(block, begin, len(block), now)
-        now += block.end_s - float(block.start_s[begin])
-        last = (block.coefficients[-1].sum(axis=0), int(block.operation[-1]))
-    if last is not None:
-        yield _still(*last, now, after_s)
+            if piece > first:
+                yield _moved(block, first, piece, now_s)
+                now_s += float(block.start_s[piece] - block.start_s[first])
+                standstill = (
+                    block.coefficients[piece - 1].sum(axis=0),
+                    int(block.operation[piece - 1]),
+                )
+            first = piece
+            yield _still(*standstill, now_s, 0.5 * width_s)
+            yield _still(
+                standstill[0], int(block.operation[piece]), now_s + 0.5 * width_s, 0.5 * width_s
+            )
+            now_s += width_s
+        yield _moved(block, first, len(block), now_s)
+        now_s += block.end_s - float(block.start_s[first])
+        standstill = (block.coefficients[-1].sum(axis=0), int(block.operation[-1]))
+    if standstill is not None:
+        yield _still(*standstill, now_s, after_s)
 
 
 def _moved(block: TrajectoryBlock, begin: int, end: int, start_s: float) -> TrajectoryBlock:
@@ -214,11 +221,13 @@ def _moved(block: TrajectoryBlock, begin: int, end: int, start_s: float) -> Traj
     )
 
 
-def _still(place: FloatArray, operation: int, start_s: float, duration_s: float) -> TrajectoryBlock:
+def _still(
+    position: FloatArray, operation: int, start_s: float, duration_s: float
+) -> TrajectoryBlock:
     return TrajectoryBlock(
         start_s=np.array([start_s]),
         duration_s=np.array([duration_s]),
-        coefficients=np.asarray(place, dtype=np.float64)[None, None],
+        coefficients=np.asarray(position, dtype=np.float64)[None, None],
         operation=np.array([operation]),
     )
 
@@ -226,73 +235,77 @@ def _still(place: FloatArray, operation: int, start_s: float, duration_s: float)
 def _averaged(held: Trajectory, averages: Averages) -> Iterator[TrajectoryBlock]:
     basis, step_s = spline_basis(), averages.step_s
     ahead, behind = averages.before, averages.after
-    raw: FloatArray | None = None  # samples from number ``done - ahead`` on
-    labels: IntArray = np.empty(0, dtype=np.int64)
-    done = sampled = labelled = 0
+    samples: FloatArray | None = None  # samples from number ``done - ahead`` on
+    operations: IntArray = np.empty(0, dtype=np.int64)
+    done = sample_count = operation_count = 0
     end_s = 0.0
-    final: FloatArray = np.empty(0)
+    end_position: FloatArray = np.empty(0)
     ends = _EndsOfSpeed(averages)
     for block in held:
         ends.read(block)
-        if raw is None:
-            raw = np.tile(block.coefficients[0, 0], (ahead, 1))
+        if samples is None:
+            samples = np.tile(block.coefficients[0, 0], (ahead, 1))
         end_s = block.end_s
         while True:
-            fresh = np.arange(sampled, sampled + CHUNK)
-            inside = int(np.searchsorted(fresh * step_s, end_s))
-            if inside:
-                raw = np.concatenate([raw, block.evaluate(np.asarray(fresh[:inside] * step_s))])
-                sampled += inside
-            middle = (np.arange(labelled, sampled + 1) + 0.5) * step_s
-            middle = middle[: np.searchsorted(middle, end_s)]
-            piece = np.searchsorted(block.start_s, middle, side="right") - 1
-            labels = np.concatenate([labels, block.operation[np.maximum(piece, 0)]])
-            labelled += len(middle)
-            ready = min(sampled - done - behind, labelled - done)
-            if ready > 0:
-                yield _spline(raw, labels, done, ready, averages, basis, ends)
-                raw, labels = raw[ready:], labels[ready:]
-                done += ready
-            if inside < CHUNK:
+            new_numbers = np.arange(sample_count, sample_count + CHUNK)
+            inside_count = int(np.searchsorted(new_numbers * step_s, end_s))
+            if inside_count:
+                samples = np.concatenate(
+                    [samples, block.evaluate(np.asarray(new_numbers[:inside_count] * step_s))]
+                )
+                sample_count += inside_count
+            middles_s = (np.arange(operation_count, sample_count + 1) + 0.5) * step_s
+            middles_s = middles_s[: np.searchsorted(middles_s, end_s)]
+            piece = np.searchsorted(block.start_s, middles_s, side="right") - 1
+            operations = np.concatenate([operations, block.operation[np.maximum(piece, 0)]])
+            operation_count += len(middles_s)
+            ready_count = min(sample_count - done - behind, operation_count - done)
+            if ready_count > 0:
+                yield _spline(samples, operations, done, ready_count, averages, basis, ends)
+                samples, operations = samples[ready_count:], operations[ready_count:]
+                done += ready_count
+            if inside_count < CHUNK:
                 break
-        final = block.coefficients[-1].sum(axis=0)
-    if raw is None:
+        end_position = block.coefficients[-1].sum(axis=0)
+    if samples is None:
         return
     count = ceil(end_s / step_s - 1e-9) - done
-    missing = count + ahead + behind - len(raw)
-    raw = np.concatenate([raw, np.tile(final, (max(missing, 0), 1))])
-    labels = np.concatenate([labels, np.repeat(labels[-1:], max(count - len(labels), 0))])
+    missing_count = count + ahead + behind - len(samples)
+    samples = np.concatenate([samples, np.tile(end_position, (max(missing_count, 0), 1))])
+    operations = np.concatenate(
+        [operations, np.repeat(operations[-1:], max(count - len(operations), 0))]
+    )
     if count > 0:
-        yield _spline(raw, labels, done, count, averages, basis, ends)
+        yield _spline(samples, operations, done, count, averages, basis, ends)
 
 
 def _spline(
-    raw: FloatArray,
-    labels: IntArray,
+    samples: FloatArray,
+    operations: IntArray,
     done: int,
     count: int,
     averages: Averages,
     basis: FloatArray,
     ends: _EndsOfSpeed,
 ) -> TrajectoryBlock:
-    """Return pieces ``done`` to ``done + count``; ``raw`` begins ``before`` samples earlier."""
+    """Return pieces ``done`` to ``done + count``; ``samples`` begins ``before`` samples earlier."""
     step_s = averages.step_s
-    controls = np.zeros((count + DEGREE, raw.shape[1]))
+    controls = np.zeros((count + DEGREE, samples.shape[1]))
     # Relative to the first sample, so that rest is exactly rest.
-    away = raw[: count + averages.before + averages.after] - raw[0]
+    offsets = samples[: count + averages.before + averages.after] - samples[0]
     for shift, weight in enumerate(averages.weights):
-        controls += weight * away[shift : shift + len(controls)]
+        controls += weight * offsets[shift : shift + len(controls)]
     ends.add_to(controls, done - DEGREE // 2)
     windows = np.stack([controls[i : i + count] for i in range(DEGREE + 1)], axis=1)
     coefficients = np.einsum("ki,nia->nka", basis, windows)
-    coefficients[:, 0] += raw[0]
+    coefficients[:, 0] += samples[0]
     still = (np.ptp(windows, axis=1) == 0.0).all(axis=1)
     coefficients[still, 1:] = 0.0
     return TrajectoryBlock(
         start_s=np.asarray((done + np.arange(count)) * step_s),
         duration_s=np.full(count, step_s),
         coefficients=coefficients,
-        operation=labels[:count],
+        operation=operations[:count],
     )
 
 
@@ -305,8 +318,10 @@ class _EndsOfSpeed:
 
     def __init__(self, averages: Averages) -> None:
         self._step_s = averages.step_s
-        own = (averages.starts, averages.stops)
-        self._more = [None if weights is None else weights - averages.weights for weights in own]
+        end_weights = (averages.starts, averages.stops)
+        self._more = [
+            None if weights is None else weights - averages.weights for weights in end_weights
+        ]
         self._half = len(averages.weights) // 2
         self._still = True  # at the end of the read part
         self._last: FloatArray = np.zeros(1)
@@ -315,50 +330,59 @@ class _EndsOfSpeed:
 
     def read(self, block: TrajectoryBlock) -> None:
         """Find the steps of the next block."""
-        if all(more is None for more in self._more) or not len(block):
+        if all(extra_weights is None for extra_weights in self._more) or not len(block):
             return
         lasts_s = block.duration_s[:, None]
         power = np.arange(block.coefficients.shape[1])[:, None]
         slope = block.coefficients * power
-        begin = (slope[:, 1] if len(power) > 1 else 0.0 * slope[:, 0]) / lasts_s
-        end = slope.sum(axis=1) / lasts_s
-        fast, ended = np.linalg.norm(begin, axis=1), np.linalg.norm(end, axis=1)
-        self._fastest = max(self._fastest, float(fast.max()), float(ended.max()))
-        least = _STILL * self._fastest
-        rests_before = np.append(self._still, ended[:-1] <= least)
-        for k in np.flatnonzero(rests_before & (fast > least)).tolist():
-            self._step(0, float(block.start_s[k]), begin[k])
-        rests_after = np.append(fast[1:] <= least, False)
-        for k in np.flatnonzero(rests_after & (ended > least)).tolist():
-            self._step(1, float(block.start_s[k + 1]), -end[k])
-        if not self._still and not rests_before[0] and fast[0] <= least:
+        begin_velocity = (slope[:, 1] if len(power) > 1 else 0.0 * slope[:, 0]) / lasts_s
+        end_velocity = slope.sum(axis=1) / lasts_s
+        begin_speed, end_speed = (
+            np.linalg.norm(begin_velocity, axis=1),
+            np.linalg.norm(end_velocity, axis=1),
+        )
+        self._fastest = max(self._fastest, float(begin_speed.max()), float(end_speed.max()))
+        still_speed = _STILL * self._fastest
+        rests_before = np.append(self._still, end_speed[:-1] <= still_speed)
+        for k in np.flatnonzero(rests_before & (begin_speed > still_speed)).tolist():
+            self._step(0, float(block.start_s[k]), begin_velocity[k])
+        rests_after = np.append(begin_speed[1:] <= still_speed, False)
+        for k in np.flatnonzero(rests_after & (end_speed > still_speed)).tolist():
+            self._step(1, float(block.start_s[k + 1]), -end_velocity[k])
+        if not self._still and not rests_before[0] and begin_speed[0] <= still_speed:
             self._step(1, float(block.start_s[0]), -self._last)
-        self._still, self._last = bool(ended[-1] <= least), end[-1]
+        self._still, self._last = bool(end_speed[-1] <= still_speed), end_velocity[-1]
 
-    def _step(self, kind: int, at_s: float, by: FloatArray) -> None:
-        more = self._more[kind]
-        if more is None:
+    def _step(self, kind: int, at_s: float, velocity_step: FloatArray) -> None:
+        extra_weights = self._more[kind]
+        if extra_weights is None:
             return
-        first = floor(at_s / self._step_s) - self._half
-        sample = np.arange(first - self._half, first + 3 * self._half + 2) * self._step_s
+        first_control = floor(at_s / self._step_s) - self._half
+        sample = (
+            np.arange(first_control - self._half, first_control + 3 * self._half + 2) * self._step_s
+        )
         ramp = np.maximum(sample - at_s, 0.0)
         change = np.stack(
             [
                 np.correlate(ramp, column)
-                for column in np.broadcast_to(more, (len(more), len(by))).T
+                for column in np.broadcast_to(
+                    extra_weights, (len(extra_weights), len(velocity_step))
+                ).T
             ],
             axis=1,
         )
-        self._due.append((first, change * by))
+        self._due.append((first_control, change * velocity_step))
 
     def add_to(self, controls: FloatArray, first: int) -> None:
         """Add due corrections to control points, the first of them around sample ``first``."""
         end = first + len(controls)
-        self._due = [(at, change) for at, change in self._due if at + len(change) > first]
-        for at, change in self._due:
-            begin, stop = max(at, first), min(at + len(change), end)
+        self._due = [
+            (control, change) for control, change in self._due if control + len(change) > first
+        ]
+        for control, change in self._due:
+            begin, stop = max(control, first), min(control + len(change), end)
             if begin < stop:
-                controls[begin - first : stop - first] += change[begin - at : stop - at]
+                controls[begin - first : stop - first] += change[begin - control : stop - control]
 
 
 def denser(weights: FloatArray, times: int) -> FloatArray:
@@ -388,24 +412,24 @@ class Smoother:
 
     def extend(self, samples: FloatArray, operation: IntArray) -> tuple[FloatArray, IntArray]:
         """Return the (n, 4, axes) coefficients and (n,) operations that ``samples`` complete."""
-        raw = np.concatenate([self._raw, samples])
-        fresh = len(samples)
+        all_samples = np.concatenate([self._raw, samples])
+        sample_count = len(samples)
         mean = np.zeros_like(samples)
         for shift in range(self._count):
-            mean += raw[shift : shift + fresh]
+            mean += all_samples[shift : shift + sample_count]
         controls = np.concatenate([self._controls, mean / self._count])
-        labels = np.concatenate([self._labels, operation])
-        self._raw = raw[len(raw) - (self._count - 1) :]
+        operations = np.concatenate([self._labels, operation])
+        self._raw = all_samples[len(all_samples) - (self._count - 1) :]
         pieces = len(controls) - 3
         if pieces <= 0:
-            self._controls, self._labels = controls, labels
+            self._controls, self._labels = controls, operations
             return np.zeros((0, 4, samples.shape[1])), np.zeros(0, dtype=np.int64)
         self._controls = controls[-3:]
         # Control j averages samples that lie half the width earlier; piece j is between controls
         # j + 1 and j + 2.
-        out = labels[2 : 2 + pieces]
-        self._labels = labels[pieces:]
-        return bspline_coefficients(controls), out
+        piece_operations = operations[2 : 2 + pieces]
+        self._labels = operations[pieces:]
+        return bspline_coefficients(controls), piece_operations
 
     def finish(self, end: FloatArray, operation: int) -> tuple[FloatArray, IntArray]:
         """Return the remaining pieces once the axes stand still at ``end``."""

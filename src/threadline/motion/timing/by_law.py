@@ -52,15 +52,17 @@ def law_pieces(law: Law) -> tuple[FloatArray, FloatArray, tuple[float, float, fl
     peaks
         Peaks of velocity, acceleration and jerk of the pieces.
     """
-    looks = np.linspace(0.0, 1.0, 9)[1:-1]
+    sample_places = np.linspace(0.0, 1.0, 9)[1:-1]
     ends, powers = law.edges, np.zeros((0, 6))
     for parts in _PARTS:
-        at = np.arange(parts) / parts
-        ends = np.append((law.edges[:-1, None] + np.diff(law.edges)[:, None] * at).ravel(), 1.0)
+        part_begins = np.arange(parts) / parts
+        ends = np.append(
+            (law.edges[:-1, None] + np.diff(law.edges)[:, None] * part_begins).ravel(), 1.0
+        )
         powers = _quintic(law, ends)
-        where = ends[:-1, None] + np.diff(ends)[:, None] * looks
-        found = np.polynomial.polynomial.polyval(looks, powers.T)
-        if np.abs(found - law(where.ravel()).reshape(where.shape)).max() <= _MISSED:
+        places = ends[:-1, None] + np.diff(ends)[:, None] * sample_places
+        values = np.polynomial.polynomial.polyval(sample_places, powers.T)
+        if np.abs(values - law(places.ravel()).reshape(places.shape)).max() <= _MISSED:
             break
     length = np.diff(ends)[:, None]
     peaks = []
@@ -78,11 +80,13 @@ def _quintic(law: Law, ends: FloatArray) -> FloatArray:
     # Between two stretches the acceleration may step: each piece takes the value on its side.
     a = h**2 * law(ends[:-1] + 1e-9 * h, 2)
     b = h**2 * law(ends[1:] - 1e-9 * h, 2)
-    gained, speed, bend = np.diff(s) - v - 0.5 * a, w - v - a, b - a
+    rise_rest, velocity_rest, acceleration_rest = np.diff(s) - v - 0.5 * a, w - v - a, b - a
     return np.stack(
         [
-            s[:-1], v, 0.5 * a, 10.0 * gained - 4.0 * speed + 0.5 * bend,
-            -15.0 * gained + 7.0 * speed - bend, 6.0 * gained - 3.0 * speed + 0.5 * bend,
+            s[:-1], v, 0.5 * a,
+            10.0 * rise_rest - 4.0 * velocity_rest + 0.5 * acceleration_rest,
+            -15.0 * rise_rest + 7.0 * velocity_rest - acceleration_rest,
+            6.0 * rise_rest - 3.0 * velocity_rest + 0.5 * acceleration_rest,
         ],
         axis=1,
     )  # fmt: skip
@@ -90,15 +94,17 @@ def _quintic(law: Law, ends: FloatArray) -> FloatArray:
 
 def _largest(powers: FloatArray) -> float:
     """Return the largest magnitude of polynomials (n, k) on [0, 1]: at ends or at roots."""
-    looks = np.linspace(0.0, 1.0, 17)
+    sample_places = np.linspace(0.0, 1.0, 17)
     peak = 0.0
-    seen = np.abs(np.polynomial.polynomial.polyval(looks, powers.T)).max(axis=1)
-    for k in np.flatnonzero(seen >= 0.9 * seen.max()).tolist():
+    sampled_peaks = np.abs(np.polynomial.polynomial.polyval(sample_places, powers.T)).max(axis=1)
+    for k in np.flatnonzero(sampled_peaks >= 0.9 * sampled_peaks.max()).tolist():
         slope = np.trim_zeros(np.polynomial.polynomial.polyder(powers[k]), "b")
         roots = np.polynomial.polynomial.polyroots(slope) if len(slope) > 1 else np.zeros(0)
         real = roots[np.abs(roots.imag) < 1e-9].real
-        tried = np.concatenate((looks, real[(real > 0.0) & (real < 1.0)]))
-        peak = max(peak, float(np.abs(np.polynomial.polynomial.polyval(tried, powers[k])).max()))
+        candidates = np.concatenate((sample_places, real[(real > 0.0) & (real < 1.0)]))
+        peak = max(
+            peak, float(np.abs(np.polynomial.polynomial.polyval(candidates, powers[k])).max())
+        )
     return peak
 
 
@@ -117,36 +123,36 @@ def by_law(path: PlannedPath, machine: Machine, law: Law) -> Iterator[PieceBlock
     from threadline.motion.laws import refuse_descent
 
     refuse_descent(law)
-    ends, powers, found = law_pieces(law)
+    ends, powers, piece_peaks = law_pieces(law)
     shares = np.diff(ends)
     count = len(shares)
-    peaks = (found[0], found[1], None if law.jerk is None else found[2])
-    column = [machine.axis_names.index(axis) for axis in path.axes]
+    peaks = (piece_peaks[0], piece_peaks[1], None if law.jerk is None else piece_peaks[2])
+    columns = [machine.axis_names.index(axis) for axis in path.axes]
     limits = [
-        getattr(machine, f"{name}_limit")[column] for name in ("velocity", "acceleration", "jerk")
+        getattr(machine, f"{name}_limit")[columns] for name in ("velocity", "acceleration", "jerk")
     ]
     for block in path:
         for begin in range(0, len(block), _MOVES):
             rows = slice(begin, begin + _MOVES)
-            start, way = block.coefficients[rows, 0], block.coefficients[rows, 1]
+            start, displacement = block.coefficients[rows, 0], block.coefficients[rows, 1]
             time_s = peaks[0] * block.nominal_s[rows]
             for order, (peak, limit) in enumerate(zip(peaks, limits, strict=True), start=1):
                 if peak is not None:
-                    needed = (peak * np.abs(way) / limit).max(axis=1) ** (1.0 / order)
+                    needed = (peak * np.abs(displacement) / limit).max(axis=1) ** (1.0 / order)
                     time_s = np.maximum(time_s, needed)
-            time_s[~way.any(axis=1)] = 0.0
-            coefficients = powers[None, :, :, None] * way[:, None, None, :]
+            time_s[~displacement.any(axis=1)] = 0.0
+            coefficients = powers[None, :, :, None] * displacement[:, None, None, :]
             coefficients[:, :, 0] += start[:, None]
             moves = len(start)
-            last = np.zeros((moves, count), dtype=np.int64)
-            last[:, -1] = 1
+            is_last = np.zeros((moves, count), dtype=np.int64)
+            is_last[:, -1] = 1
             dwell = np.zeros((moves, count))
             dwell[:, -1] = block.dwell_s[rows]
             yield PieceBlock(
                 coefficients=coefficients.reshape(moves * count, 6, -1),
                 operation=np.repeat(block.operation[rows], count),
                 nominal_s=(time_s[:, None] * shares).ravel(),
-                rest_after=last.ravel(),
+                rest_after=is_last.ravel(),
                 dwell_s=dwell.ravel(),
                 line=np.repeat(block.line[rows], count),
             )
@@ -154,8 +160,8 @@ def by_law(path: PlannedPath, machine: Machine, law: Law) -> Iterator[PieceBlock
 
 def breaks_jerk(law: Law, axes: tuple[str, ...], machine: Machine) -> bool:
     """Return whether the law has infinite jerk and an axis has a jerk limit."""
-    column = [machine.axis_names.index(axis) for axis in axes]
-    return law.jerk is None and bool(np.isfinite(machine.jerk_limit[column]).any())
+    columns = [machine.axis_names.index(axis) for axis in axes]
+    return law.jerk is None and bool(np.isfinite(machine.jerk_limit[columns]).any())
 
 
 # The law 10 u^3 - 15 u^4 + 6 u^5: its peaks, and the places at which the current is checked.
@@ -210,36 +216,36 @@ def rapid_time_s(displacement: FloatArray, axes: tuple[str, ...], machine: Machi
     """
     needed = np.zeros(len(displacement))
     for column, name in enumerate(axes):
-        way = np.abs(displacement[:, column])
+        distance = np.abs(displacement[:, column])
         axis = machine.axes[name]
-        needed = np.maximum(needed, _PEAKS[0] * way / axis.velocity.si)
-        needed = np.maximum(needed, np.sqrt(_PEAKS[1] * way / axis.acceleration.si))
+        needed = np.maximum(needed, _PEAKS[0] * distance / axis.velocity.si)
+        needed = np.maximum(needed, np.sqrt(_PEAKS[1] * distance / axis.acceleration.si))
         if axis.jerk is not None:
-            needed = np.maximum(needed, np.cbrt(_PEAKS[2] * way / axis.jerk.si))
-        needed = np.maximum(needed, _current_time_s(way, name, machine))
+            needed = np.maximum(needed, np.cbrt(_PEAKS[2] * distance / axis.jerk.si))
+        needed = np.maximum(needed, _current_time_s(distance, name, machine))
     return needed
 
 
-def _current_time_s(way: FloatArray, axis: str, machine: Machine) -> FloatArray:
+def _current_time_s(distance: FloatArray, axis: str, machine: Machine) -> FloatArray:
     """Return (n,) times that keep the current of a rigid axis within its share.
 
     At each u the current is f + c v/T + k a/T^2, so that 1/T is bounded by a quadratic equation.
     """
     if machine.axes[axis].drive:  # a position interface: its torque is judged
-        return np.zeros(len(way))
+        return np.zeros(len(distance))
     drive = machine.drive_of(axis)
-    most = drive.amplifier.current_limit
-    if most is None:
-        return np.zeros(len(way))
+    current_limit = drive.amplifier.current_limit
+    if current_limit is None:
+        return np.zeros(len(distance))
     per_speed = current_needed(machine, axis, 2.0, 0.0) - current_needed(machine, axis, 1.0, 0.0)
     friction = current_needed(machine, axis, 1.0, 0.0) - per_speed
-    spare = max(_CURRENT_SHARE * most.si - friction, 0.05 * most.si)
-    a = current_needed(machine, axis, 0.0, 1.0) * way[:, None] * _ACCELERATION
-    b = per_speed * way[:, None] * _SPEED
+    spare_a = max(_CURRENT_SHARE * current_limit.si - friction, 0.05 * current_limit.si)
+    a = current_needed(machine, axis, 0.0, 1.0) * distance[:, None] * _ACCELERATION
+    b = per_speed * distance[:, None] * _SPEED
     # If the motor brakes, the curve may stay below its bound at any speed.
-    root = np.sqrt(np.maximum(b * b + 4.0 * a * spare, 0.0))
-    bound = np.where(b * b + 4.0 * a * spare >= 0.0, b + root, 0.0)
-    return np.asarray((bound / (2.0 * spare)).max(axis=1))
+    root = np.sqrt(np.maximum(b * b + 4.0 * a * spare_a, 0.0))
+    bound = np.where(b * b + 4.0 * a * spare_a >= 0.0, b + root, 0.0)
+    return np.asarray((bound / (2.0 * spare_a)).max(axis=1))
 
 
 _ALIKE = 1e-9
@@ -280,102 +286,107 @@ def with_steps(planned: Trajectory) -> Trajectory:
 
 def leads_of(planned: Trajectory) -> Leads:
     """Return the rests of the legs of ``planned`` in :func:`with_steps`, 0 without any."""
-    found: dict[bool, list[float]] = {False: [], True: []}
-    for whole, done, ready in _windows(planned):
-        for group in _groups(whole):
+    rests_by_end: dict[bool, list[float]] = {False: [], True: []}
+    for pieces, done, ready in _windows(planned):
+        for group in _groups(pieces):
             if done <= group.first < ready:
-                found[group.stop].append(group.rest_s)
-    starts, stops = ((min(rests, default=0.0), max(rests, default=0.0)) for rests in found.values())
+                rests_by_end[group.stop].append(group.rest_s)
+    starts, stops = (
+        (min(rests, default=0.0), max(rests, default=0.0)) for rests in rests_by_end.values()
+    )
     return Leads(starts_s=starts, stops_s=stops)
 
 
 def _windows(planned: Trajectory) -> Iterator[tuple[TrajectoryBlock, int, int]]:
     """Yield pieces ``done`` to ``ready`` of blocks, with enough neighbours around them."""
-    whole: TrajectoryBlock | None = None
+    pieces: TrajectoryBlock | None = None
     done = 0
     for block in planned:
         if not len(block):
             continue
-        whole = block if whole is None else _joined(whole, block)
-        ready = len(whole) - _AROUND
+        pieces = block if pieces is None else _joined(pieces, block)
+        ready = len(pieces) - _AROUND
         if ready > done:
-            yield whole, done, ready
-            kept = max(ready - _AROUND, 0)
-            whole, done = _rows(whole, kept), ready - kept
-    if whole is not None:
-        yield whole, done, len(whole)
+            yield pieces, done, ready
+            first_kept = max(ready - _AROUND, 0)
+            pieces, done = _rows(pieces, first_kept), ready - first_kept
+    if pieces is not None:
+        yield pieces, done, len(pieces)
 
 
-def _groups(whole: TrajectoryBlock) -> list[_Group]:
-    velocity = _velocity(whole)
+def _groups(pieces: TrajectoryBlock) -> list[_Group]:
+    velocity = _velocity(pieces)
     speed = np.linalg.norm(velocity, axis=1)
-    on = np.zeros(len(whole) + 1, dtype=np.bool_)  # a leg goes on from the piece before
-    on[1:-1] = _alike(velocity[:-1], velocity[1:])
+    continues = np.zeros(len(pieces) + 1, dtype=np.bool_)  # a leg goes on from the piece before
+    continues[1:-1] = _alike(velocity[:-1], velocity[1:])
     # Between moves that follow each other the motion does not rest, even where it turns.
-    rests = np.ones(len(whole) + 1, dtype=np.bool_)
-    rests[1:-1] = (np.diff(whole.operation) > 1) | (speed[:-1] == 0.0) | (speed[1:] == 0.0)
-    found = []
+    rests = np.ones(len(pieces) + 1, dtype=np.bool_)
+    rests[1:-1] = (np.diff(pieces.operation) > 1) | (speed[:-1] == 0.0) | (speed[1:] == 0.0)
+    groups = []
     for stop in (False, True):
-        step = -1 if stop else 1
+        direction = -1 if stop else 1
         ends = np.flatnonzero((speed > 0.0) & (rests[1:] if stop else rests[:-1]))
-        for end in ends.tolist():
-            at = end
+        for end_piece in ends.tolist():
+            piece = end_piece
             while (
-                abs(at - end) <= _MOST
-                and on[at if stop else at + 1]
-                and not rests[at if stop else at + 1]
-                and speed[at + step] > speed[at] * (1.0 + _ALIKE)
+                abs(piece - end_piece) <= _MOST
+                and continues[piece if stop else piece + 1]
+                and not rests[piece if stop else piece + 1]
+                and speed[piece + direction] > speed[piece] * (1.0 + _ALIKE)
             ):
-                at += step
-            if not 0 < abs(at - end) <= _MOST:
+                piece += direction
+            if not 0 < abs(piece - end_piece) <= _MOST:
                 continue
-            first, after = (at + 1, end + 1) if stop else (end, at)
-            part = slice(first, after)
-            lasts_s = whole.duration_s[part]
-            rest_s = float(lasts_s.sum() - speed[part] @ lasts_s / speed[at])
-            found.append(
-                _Group(first=first, end=after, full=velocity[at], rest_s=rest_s, stop=stop)
+            first, stop_piece = (piece + 1, end_piece + 1) if stop else (end_piece, piece)
+            part = slice(first, stop_piece)
+            lasts_s = pieces.duration_s[part]
+            rest_s = float(lasts_s.sum() - speed[part] @ lasts_s / speed[piece])
+            groups.append(
+                _Group(first=first, end=stop_piece, full=velocity[piece], rest_s=rest_s, stop=stop)
             )
-    return found
+    return groups
 
 
 def _stepped(planned: Trajectory) -> Iterator[TrajectoryBlock]:
-    for whole, done, ready in _windows(planned):
+    for pieces, done, ready in _windows(planned):
         parts: list[TrajectoryBlock] = []
-        at = done
-        for group in sorted(_groups(whole), key=lambda group: group.first):
-            first, end = max(group.first, at), min(group.end, ready)
+        next_piece = done
+        for group in sorted(_groups(pieces), key=lambda group: group.first):
+            first, end = max(group.first, next_piece), min(group.end, ready)
             if first >= end:
                 continue
-            parts += [_rows(whole, at, first), _changed(whole, group, first, end)]
-            at = end
-        parts.append(_rows(whole, at, ready))
+            parts += [_rows(pieces, next_piece, first), _changed(pieces, group, first, end)]
+            next_piece = end
+        parts.append(_rows(pieces, next_piece, ready))
         yield from (part for part in parts if len(part))
 
 
-def _changed(whole: TrajectoryBlock, group: _Group, first: int, end: int) -> TrajectoryBlock:
+def _changed(pieces: TrajectoryBlock, group: _Group, first: int, end: int) -> TrajectoryBlock:
     """Return pieces ``first`` to ``end`` of a group: at rest, at full speed, or split in two."""
     last = group.end - 1
     if group.stop:
-        step_s = float(whole.start_s[last] + whole.duration_s[last]) - group.rest_s
-        origin, from_s = whole.coefficients[group.first, 0], float(whole.start_s[group.first])
+        step_s = float(pieces.start_s[last] + pieces.duration_s[last]) - group.rest_s
+        origin, from_s = pieces.coefficients[group.first, 0], float(pieces.start_s[group.first])
     else:
-        step_s = float(whole.start_s[group.first]) + group.rest_s
-        origin, from_s = whole.coefficients[group.first, 0], step_s
+        step_s = float(pieces.start_s[group.first]) + group.rest_s
+        origin, from_s = pieces.coefficients[group.first, 0], step_s
     rows: list[tuple[float, float, int]] = []
     for k in range(first, end):
-        begin, lasts = float(whole.start_s[k]), float(whole.duration_s[k])
-        cut = min(max(step_s - begin, 0.0), lasts)
-        label = int(whole.operation[k])
-        for at, span in ((begin, cut), (begin + cut, lasts - cut)):
-            if span > _ALIKE * lasts:
-                rows.append((at, span, label))
+        piece_begin_s, duration_s = float(pieces.start_s[k]), float(pieces.duration_s[k])
+        cut_s = min(max(step_s - piece_begin_s, 0.0), duration_s)
+        operation = int(pieces.operation[k])
+        for begin_s, span_s in (
+            (piece_begin_s, cut_s),
+            (piece_begin_s + cut_s, duration_s - cut_s),
+        ):
+            if span_s > _ALIKE * duration_s:
+                rows.append((begin_s, span_s, operation))
     start = np.array([row[0] for row in rows])
     duration = np.array([row[1] for row in rows])
     moves = (start + 0.5 * duration < step_s) == group.stop
-    coefficients = np.zeros((len(rows), max(whole.coefficients.shape[1], 2), len(origin)))
-    ran_s = np.minimum(start, step_s) - from_s if group.stop else np.maximum(start - from_s, 0.0)
-    coefficients[:, 0] = origin + ran_s[:, None] * group.full
+    coefficients = np.zeros((len(rows), max(pieces.coefficients.shape[1], 2), len(origin)))
+    moved_s = np.minimum(start, step_s) - from_s if group.stop else np.maximum(start - from_s, 0.0)
+    coefficients[:, 0] = origin + moved_s[:, None] * group.full
     coefficients[moves, 1] = duration[moves, None] * group.full
     return TrajectoryBlock(
         start_s=start,
@@ -395,17 +406,17 @@ def _rows(block: TrajectoryBlock, first: int, end: int | None = None) -> Traject
     )
 
 
-def _joined(one: TrajectoryBlock, other: TrajectoryBlock) -> TrajectoryBlock:
-    size = max(one.coefficients.shape[1], other.coefficients.shape[1])
+def _joined(first: TrajectoryBlock, second: TrajectoryBlock) -> TrajectoryBlock:
+    order = max(first.coefficients.shape[1], second.coefficients.shape[1])
     padded = [
-        np.pad(block.coefficients, ((0, 0), (0, size - block.coefficients.shape[1]), (0, 0)))
-        for block in (one, other)
+        np.pad(block.coefficients, ((0, 0), (0, order - block.coefficients.shape[1]), (0, 0)))
+        for block in (first, second)
     ]
     return TrajectoryBlock(
-        start_s=np.concatenate([one.start_s, other.start_s]),
-        duration_s=np.concatenate([one.duration_s, other.duration_s]),
+        start_s=np.concatenate([first.start_s, second.start_s]),
+        duration_s=np.concatenate([first.duration_s, second.duration_s]),
         coefficients=np.concatenate(padded),
-        operation=np.concatenate([one.operation, other.operation]),
+        operation=np.concatenate([first.operation, second.operation]),
     )
 
 
@@ -419,5 +430,7 @@ def _velocity(block: TrajectoryBlock) -> FloatArray:
 
 def _alike(first: FloatArray, second: FloatArray) -> NDArray[np.bool_]:
     """Return where two nonzero velocities have the same direction."""
-    size = np.linalg.norm(first, axis=1) * np.linalg.norm(second, axis=1)
-    return np.asarray((size > 0.0) & (np.sum(first * second, axis=1) >= (1.0 - _ALIKE) * size))
+    product = np.linalg.norm(first, axis=1) * np.linalg.norm(second, axis=1)
+    return np.asarray(
+        (product > 0.0) & (np.sum(first * second, axis=1) >= (1.0 - _ALIKE) * product)
+    )

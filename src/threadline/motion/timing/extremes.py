@@ -26,13 +26,15 @@ _NOTHING = 1e-14  # relative: smaller leading coefficients would spoil the roots
 
 def derivatives(block: TrajectoryBlock, column: int, highest: int) -> list[FloatArray]:
     """Return the (order, n) polynomials of one axis' time derivatives 0 to ``highest``."""
-    found = [np.ascontiguousarray(block.coefficients[:, :, column].T)]
+    polynomials = [np.ascontiguousarray(block.coefficients[:, :, column].T)]
     rate = 1.0 / block.duration_s
     for _ in range(highest):
-        last = found[-1]
-        powers = np.arange(1.0, len(last))[:, None]
-        found.append(last[1:] * powers * rate if len(last) > 1 else np.zeros_like(last))
-    return found
+        previous = polynomials[-1]
+        powers = np.arange(1.0, len(previous))[:, None]
+        polynomials.append(
+            previous[1:] * powers * rate if len(previous) > 1 else np.zeros_like(previous)
+        )
+    return polynomials
 
 
 def hull_of(poly: FloatArray) -> FloatArray:
@@ -53,11 +55,11 @@ def highest(poly: FloatArray, above: float) -> tuple[float, int, float] | None:
     bound exceeds the highest value found.
     """
     ends = np.maximum(poly[0], poly.sum(axis=0))
-    first = int(np.argmax(ends))
+    highest_end = int(np.argmax(ends))
     best: tuple[float, int, float] | None = None
-    if ends[first] > above:
-        above = float(ends[first])
-        best = (above, first, 0.0 if poly[0, first] >= above else 1.0)
+    if ends[highest_end] > above:
+        above = float(ends[highest_end])
+        best = (above, highest_end, 0.0 if poly[0, highest_end] >= above else 1.0)
     bounds = hull_of(poly).max(axis=0)
     candidates = np.flatnonzero(bounds > above)
     for piece in candidates[np.argsort(-bounds[candidates], kind="stable")].tolist():
@@ -73,10 +75,10 @@ def farthest(poly: FloatArray, above: float) -> tuple[float, int, float] | None:
     """Return the largest absolute value of polynomials, in the form of ``highest``."""
     hull = hull_of(poly)
     above_hull, below_hull = float(hull.max()), -float(hull.min())
-    up = None if above_hull * _ROUNDED <= above else highest(poly, above)
-    best = above if up is None else up[0]
-    down = None if below_hull * _ROUNDED <= best else highest(-poly, best)
-    return up if down is None else down
+    top = None if above_hull * _ROUNDED <= above else highest(poly, above)
+    largest = above if top is None else top[0]
+    bottom = None if below_hull * _ROUNDED <= largest else highest(-poly, largest)
+    return top if bottom is None else bottom
 
 
 def in_direction(
@@ -97,20 +99,24 @@ def in_direction(
     """
     hull = hull_of(velocity)
     rounding = _TURNED * np.abs(hull).max(axis=0)
-    forward, back = (hull >= -rounding).all(axis=0), (hull <= rounding).all(axis=0)
+    forward, backward = (hull >= -rounding).all(axis=0), (hull <= rounding).all(axis=0)
     sign = np.where(forward, 1.0, -1.0)
-    one = np.flatnonzero(forward | back)
-    parts = [push[:, one] * sign[one]]
-    piece, begin, width = [one], [np.zeros(len(one))], [np.ones(len(one))]
-    for k in np.flatnonzero(~(forward | back)).tolist():
+    single_direction = np.flatnonzero(forward | backward)
+    parts = [push[:, single_direction] * sign[single_direction]]
+    piece, begin, width = (
+        [single_direction],
+        [np.zeros(len(single_direction))],
+        [np.ones(len(single_direction))],
+    )
+    for k in np.flatnonzero(~(forward | backward)).tolist():
         edges = np.array([0.0, *_turns(velocity[:, k]), 1.0])
-        middle = 0.5 * (edges[1:] + edges[:-1])
-        speed = np.polynomial.polynomial.polyval(middle, velocity[:, k])
-        wide = np.diff(edges)
-        parts.append(_parts(push[:, k], edges[:-1], wide) * np.sign(speed))
-        piece.append(np.full(len(wide), k))
+        middles = 0.5 * (edges[1:] + edges[:-1])
+        speed = np.polynomial.polynomial.polyval(middles, velocity[:, k])
+        widths = np.diff(edges)
+        parts.append(_parts(push[:, k], edges[:-1], widths) * np.sign(speed))
+        piece.append(np.full(len(widths), k))
         begin.append(edges[:-1])
-        width.append(wide)
+        width.append(widths)
     return (
         np.concatenate(parts, axis=1),
         np.concatenate(piece),
@@ -121,29 +127,29 @@ def in_direction(
 
 def _turns(poly: FloatArray) -> list[float]:
     """Return the places inside [0, 1] at which one polynomial may change its sign, in order."""
-    kept = np.flatnonzero(np.abs(poly) > _NOTHING * np.abs(poly).max())[-1]
-    roots = np.atleast_1d(np.roots(poly[kept::-1]))
+    leading = np.flatnonzero(np.abs(poly) > _NOTHING * np.abs(poly).max())[-1]
+    roots = np.atleast_1d(np.roots(poly[leading::-1]))
     return sorted({float(root.real) for root in roots if 0.0 < root.real < 1.0})
 
 
 def _parts(poly: FloatArray, begin: FloatArray, width: FloatArray) -> FloatArray:
     """Return (order, m) one polynomial on m parts, each over [0, 1]."""
-    out = np.zeros((len(poly), len(begin)))
+    parts = np.zeros((len(poly), len(begin)))
     for power, factor in enumerate(poly.tolist()):
         for k in range(power + 1):
-            out[k] += factor * comb(power, k) * begin ** (power - k) * width**k
-    return out
+            parts[k] += factor * comb(power, k) * begin ** (power - k) * width**k
+    return parts
 
 
 def _highest_of(poly: FloatArray) -> tuple[float, float]:
     slope = poly[1:] * np.arange(1, len(poly))
     places = [0.0, 1.0]
     if slope.any():
-        kept = np.flatnonzero(np.abs(slope) > _NOTHING * np.abs(slope).max())[-1]
-        for root in np.atleast_1d(np.roots(slope[kept::-1])):
+        leading = np.flatnonzero(np.abs(slope) > _NOTHING * np.abs(slope).max())[-1]
+        for root in np.atleast_1d(np.roots(slope[leading::-1])):
             # Extra candidates do no harm: rounding may have split a double root into a pair.
             if 0.0 < root.real < 1.0:
                 places.append(float(root.real))
     values = np.polynomial.polynomial.polyval(np.array(places), poly)
-    at = int(np.argmax(values))
-    return float(values[at]), places[at]
+    best_index = int(np.argmax(values))
+    return float(values[best_index]), places[best_index]

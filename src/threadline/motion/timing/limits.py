@@ -59,17 +59,17 @@ def limit_peaks(trajectory: Trajectory, machine: Machine) -> tuple[Peak, ...]:
     peak so far is searched for the roots of its next derivative. If an axis has a braking limit of
     its own, speeding up and braking are searched separately.
     """
-    column = [machine.axis_names.index(axis) for axis in trajectory.axes]
-    low, high = machine.travel[column].T
-    speeding, braking = (limit[column] for limit in machine.sides)
+    columns = [machine.axis_names.index(axis) for axis in trajectory.axes]
+    low, high = machine.travel[columns].T
+    speeding, braking = (limit[columns] for limit in machine.sides)
     limits = {
-        "velocity": machine.velocity_limit[column],
+        "velocity": machine.velocity_limit[columns],
         "acceleration": np.maximum(speeding, braking),
-        "jerk": machine.jerk_limit[column],
+        "jerk": machine.jerk_limit[columns],
     }
     found: dict[tuple[int, Quantity], Peak] = {}
-    before: tuple[FloatArray, FloatArray] | None = None
-    last: TrajectoryBlock | None = None
+    end_rates: tuple[FloatArray, FloatArray] | None = None
+    last_block: TrajectoryBlock | None = None
     for block in trajectory:
         polys = [derivatives(block, j, len(_ORDER) - 1) for j in range(len(trajectory.axes))]
         for j, axis in enumerate(trajectory.axes):
@@ -77,19 +77,19 @@ def limit_peaks(trajectory: Trajectory, machine: Machine) -> tuple[Peak, ...]:
                 if quantity == "travel":
                     if not (np.isfinite(low[j]) and np.isfinite(high[j])):
                         continue
-                    centre, half = 0.5 * (low[j] + high[j]), 0.5 * (high[j] - low[j])
+                    centre, half_range = 0.5 * (low[j] + high[j]), 0.5 * (high[j] - low[j])
                 else:
-                    centre, half = 0.0, float(limits[quantity][j])
+                    centre, half_range = 0.0, float(limits[quantity][j])
                 if quantity == "acceleration" and speeding[j] != braking[j]:
                     sides = float(speeding[j]), float(braking[j])
                     _search_sides(found, j, polys[j], block, axis, sides)
                     continue
                 key = (j, quantity)
-                _search(found, key, polys[j][order], block, axis, float(centre), float(half))
-        before = _joints(found, block, polys, before, trajectory.axes, limits)
-        last = block
-    if last is not None:
-        _end(found, last, trajectory.axes, limits)
+                _search(found, key, polys[j][order], block, axis, float(centre), float(half_range))
+        end_rates = _joints(found, block, polys, end_rates, trajectory.axes, limits)
+        last_block = block
+    if last_block is not None:
+        _end(found, last_block, trajectory.axes, limits)
     return tuple(
         found[j, quantity]
         for j in range(len(trajectory.axes))
@@ -133,20 +133,20 @@ def _check_along(trajectory: Trajectory, machine: Machine) -> None:
     from threadline.motion.timing.optimal.along_path import path_use
     from threadline.motion.timing.optimal.motion_limits import along_of
 
-    column = [machine.axis_names.index(axis) for axis in trajectory.axes]
-    along = along_of(machine, machine.radius_m[column])
-    used = None if along is None else path_use(trajectory, along)
-    if used is None or used.share <= ALLOWED:
+    columns = [machine.axis_names.index(axis) for axis in trajectory.axes]
+    path_limits = along_of(machine, machine.radius_m[columns])
+    use = None if path_limits is None else path_use(trajectory, path_limits)
+    if use is None or use.share <= ALLOWED:
         return
-    key = f"path.{used.quantity}"
-    unit = {"velocity": "m/s", "jerk": "m/s^3"}.get(used.quantity, "m/s^2")
+    key = f"path.{use.quantity}"
+    unit = {"velocity": "m/s", "jerk": "m/s^3"}.get(use.quantity, "m/s^2")
     raise LimitError(
-        f"{used.share:.6g} of {key}, {used.limit_si:.6g} {unit}, at {used.time_s:.4f} s "
-        f"(operation {used.operation})",
+        f"{use.share:.6g} of {key}, {use.limit_si:.6g} {unit}, at {use.time_s:.4f} s "
+        f"(operation {use.operation})",
         axis="",
         quantity=key,
-        value_si=used.share * used.limit_si,
-        limit_si=used.limit_si,
+        value_si=use.share * use.limit_si,
+        limit_si=use.limit_si,
         place=place_in(machine, key),
         remedy="Plan with --interpolation optimal, which knows this limit, for the motors and "
         "without a shaper, or lower the feed.",
@@ -162,15 +162,15 @@ def _search_sides(
     sides: tuple[float, float],
 ) -> None:
     """Take the largest acceleration of one axis while it speeds up, and while it brakes."""
-    toward, piece, begin, width = in_direction(polys[1], polys[2])
+    push_along, piece, begin, width = in_direction(polys[1], polys[2])
     quantities: tuple[Quantity, Quantity] = ("acceleration", _BRAKING)
     for quantity, sign, limit in zip(quantities, (1.0, -1.0), sides, strict=True):
         key = (j, quantity)
-        known = found.get(key)
-        best = highest(sign * toward, -1.0 if known is None else known.value_si)
-        if best is None:
+        known_peak = found.get(key)
+        peak_found = highest(sign * push_along, -1.0 if known_peak is None else known_peak.value_si)
+        if peak_found is None:
             continue
-        value, i, u = best
+        value, i, u = peak_found
         k = int(piece[i])
         found[key] = Peak(
             axis=axis,
@@ -190,26 +190,26 @@ def _search(
     block: TrajectoryBlock,
     axis: str,
     centre: float,
-    half: float,
+    half_range: float,
 ) -> None:
     """Take the largest |derivative - centre| of one axis in one block into ``found``."""
     poly = np.concatenate([poly[:1] - centre, poly[1:]])
-    peak, known = -1.0, found.get(key)
-    if known is not None:
-        peak = known.ratio * half if half < inf else abs(known.value_si)
-    best = farthest(poly, peak)
-    if best is None:
+    peak, known_peak = -1.0, found.get(key)
+    if known_peak is not None:
+        peak = known_peak.ratio * half_range if half_range < inf else abs(known_peak.value_si)
+    peak_found = farthest(poly, peak)
+    if peak_found is None:
         return
-    _, i, u = best
+    _, i, u = peak_found
     value = float(np.polyval(poly[::-1, i], u))
     quantity = key[1]
-    limit = centre + half if (quantity != "travel" or value > 0) else centre - half
+    limit = centre + half_range if (quantity != "travel" or value > 0) else centre - half_range
     found[key] = Peak(
         axis=axis,
         quantity=quantity,
         value_si=value + centre,
         limit_si=limit,
-        ratio=abs(value) / half,
+        ratio=abs(value) / half_range,
         time_s=float(block.start_s[i] + u * block.duration_s[i]),
         operation=int(block.operation[i]),
     )
@@ -219,7 +219,7 @@ def _joints(
     found: dict[tuple[int, Quantity], Peak],
     block: TrajectoryBlock,
     polys: Sequence[Sequence[FloatArray]],
-    before: tuple[FloatArray, FloatArray] | None,
+    end_rates: tuple[FloatArray, FloatArray] | None,
     axes: tuple[str, ...],
     limits: dict[str, FloatArray],
 ) -> tuple[FloatArray, FloatArray]:
@@ -228,19 +228,19 @@ def _joints(
     end = [np.stack([poly[order].sum(axis=0) for poly in polys], axis=1) for order in (1, 2)]
     rest = np.zeros((1, len(axes)))
     places = np.stack([poly[0][0] for poly in polys], axis=1)
-    for k, (name, broken) in enumerate(
+    for k, (name, infinite_quantities) in enumerate(
         (("velocity", ("acceleration", "jerk")), ("acceleration", ("jerk",)))
     ):
-        first = rest if before is None else before[k][None]
-        step = np.abs(begin[k] - np.concatenate([first, end[k][:-1]]))
+        rate_before = rest if end_rates is None else end_rates[k][None]
+        step = np.abs(begin[k] - np.concatenate([rate_before, end[k][:-1]]))
         # Huge values have large roundings, and in a piece of microseconds the rounding of a
         # position is a step.
-        coarse = _STEP * np.maximum(limits[name], np.abs(begin[k]).max(axis=0))
+        least_step = _STEP * np.maximum(limits[name], np.abs(begin[k]).max(axis=0))
         shortest_s = np.minimum(block.duration_s, np.roll(block.duration_s, 1))[:, None]
-        coarse = np.maximum(coarse, _ROUNDING * np.abs(places) / shortest_s ** (k + 1))
-        for i, j in _first_steps(step > coarse):
+        least_step = np.maximum(least_step, _ROUNDING * np.abs(places) / shortest_s ** (k + 1))
+        for i, j in _first_steps(step > least_step):
             where = (float(block.start_s[i]), int(block.operation[i]))
-            _jump(found, j, axes[j], broken, limits, where)
+            _jump(found, j, axes[j], infinite_quantities, limits, where)
     return end[0][-1], end[1][-1]
 
 
@@ -252,13 +252,13 @@ def _end(
 ) -> None:
     """Take the step to rest at the end into ``found``."""
     where = (block.end_s, int(block.operation[-1]))
-    for order, name, broken in (
+    for order, name, infinite_quantities in (
         (1, "velocity", ("acceleration", "jerk")),
         (2, "acceleration", ("jerk",)),
     ):
-        last = block.evaluate(np.array([block.end_s]), order)[0]
-        for j in np.flatnonzero(np.abs(last) > _STEP * limits[name]):
-            _jump(found, int(j), axes[j], broken, limits, where)
+        end_rate = block.evaluate(np.array([block.end_s]), order)[0]
+        for j in np.flatnonzero(np.abs(end_rate) > _STEP * limits[name]):
+            _jump(found, int(j), axes[j], infinite_quantities, limits, where)
 
 
 def _first_steps(

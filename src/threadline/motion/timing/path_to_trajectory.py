@@ -46,8 +46,8 @@ MOST_PENDING = 200_000  # pieces that wait for later ones; a longer wait is ende
 
 def followed_blocks(path: PlannedPath, machine: Machine) -> Iterator[TrajectoryBlock]:
     """Yield the trajectory of ``path`` within velocity, acceleration and jerk limits."""
-    column = [machine.axis_names.index(axis) for axis in path.axes]
-    limits = machine.velocity_limit[column], machine.acceleration_limit[column]
+    columns = [machine.axis_names.index(axis) for axis in path.axes]
+    limits = machine.velocity_limit[columns], machine.acceleration_limit[columns]
     smoothing = smoothing_for(machine, path.axes)
     _refuse_endless(smoothing, machine, path.axes)
     run = _Run(limits, allowance(smoothing, path.radius_m, path.smoothing_m, *limits))
@@ -66,12 +66,12 @@ def _refuse_endless(smoothing: Smoothing, machine: Machine, axes: tuple[str, ...
     ticks = smoothing.width_s / float(machine.tick_clock.period_s)
     if ticks <= machine.tick_budget.si:
         return
-    column = [machine.axis_names.index(axis) for axis in axes]
-    k = int(np.argmax(machine.acceleration_limit[column] / machine.jerk_limit[column]))
+    columns = [machine.axis_names.index(axis) for axis in axes]
+    slowest_axis = int(np.argmax(machine.acceleration_limit[columns] / machine.jerk_limit[columns]))
     raise BudgetError(
-        f"with the jerk limit of axis {axes[k]}, its own or the path's, its acceleration "
-        f"takes {smoothing.width_s:.3g} s to come and go, {ticks:.3g} ticks; the machine file "
-        f"allows {machine.tick_budget.si:.3g}",
+        f"with the jerk limit of axis {axes[slowest_axis]}, its own or the path's, its "
+        f"acceleration takes {smoothing.width_s:.3g} s to come and go, {ticks:.3g} ticks; the "
+        f"machine file allows {machine.tick_budget.si:.3g}",
         place=machine.place,
         remedy="Raise that jerk, lower the acceleration, or take another interpolation: optimal.",
     )
@@ -96,26 +96,29 @@ class _Run:
     ) -> Iterator[TrajectoryBlock]:
         """Add pieces ``first`` to ``stop`` and yield the part that is settled."""
         rows = slice(first, stop)
-        here = block.coefficients[rows]
-        moves = np.any(here[:, 1:], axis=(1, 2))
+        coefficients = block.coefficients[rows]
+        moving = np.any(coefficients[:, 1:], axis=(1, 2))
         pieces = prepare(
-            here[moves], block.nominal_s[rows][moves], block.operation[rows][moves], self.allowed
+            coefficients[moving],
+            block.nominal_s[rows][moving],
+            block.operation[rows][moving],
+            self.allowed,
         )
         self.pending = pieces if self.pending is None else join([self.pending, pieces])
         if self.smoother is None and len(self.pending):
-            start, label = self.pending.c[0, 0], int(self.pending.operation[0])
-            self.smoother = Smoother(self.allowed.smoothing, start, label)
+            start, operation = self.pending.c[0, 0], int(self.pending.operation[0])
+            self.smoother = Smoother(self.allowed.smoothing, start, operation)
         yield from self._advance(ends)
         if not ends:
             return
-        last = here[-1].sum(axis=0)
+        end_position = coefficients[-1].sum(axis=0)
         if self.smoother is not None:
-            label = int(block.operation[stop - 1])
-            yield from self._emit(*self.smoother.finish(last, label))
+            operation = int(block.operation[stop - 1])
+            yield from self._emit(*self.smoother.finish(end_position, operation))
         self.begin_s += self.done * self.allowed.smoothing.step_s
         dwell = float(block.dwell_s[stop - 1])
         if dwell > 0:
-            yield held_block(last, self.begin_s, dwell, int(block.operation[stop - 1]))
+            yield held_block(end_position, self.begin_s, dwell, int(block.operation[stop - 1]))
             self.begin_s += dwell
         self.pending, self.smoother, self.run_over = None, None, 0
         self.speed, self.time_s, self.done = 0.0, 0.0, 0
@@ -127,34 +130,46 @@ class _Run:
         factor = factors(p.c, self.allowed.radius)
         cap = caps(p, factor, self.allowed)
         # Finished pieces are never whole: their number does not change.
-        new = slice(self.run_over, None)
-        c, straight, cap, factor = p.c[new], p.straight[new], cap[new], factor[new]
+        unfinished = slice(self.run_over, None)
+        c, straight, cap, factor = (
+            p.c[unfinished],
+            p.straight[unfinished],
+            cap[unfinished],
+            factor[unfinished],
+        )
         run = (c, straight, cap, factor)
         count = len(c)
-        most = np.zeros((count, profile.PARTS + 1))
-        profile.backward(run, self.limits, 0.0, most, False)
-        settled = count
+        largest_x = np.zeros((count, profile.PARTS + 1))
+        profile.backward(run, self.limits, 0.0, largest_x, False)
+        settled_count = count
         if not ends:
-            settled = profile.backward(run, self.limits, np.inf, most, True)
+            settled_count = profile.backward(run, self.limits, np.inf, largest_x, True)
             # Later pieces may still lower the caps of the last stretch.
-            left = np.cumsum(p.length[new][::-1])[::-1]
-            far = self.allowed.reach_s * self.allowed.top_m_s
-            settled = min(settled, int(np.searchsorted(-left, -far)), count - 1)
-            if count - settled > MOST_PENDING:
-                settled = count // 2
-        if settled <= 0:
+            length_left = np.cumsum(p.length[unfinished][::-1])[::-1]
+            reach_m = self.allowed.reach_s * self.allowed.top_m_s
+            settled_count = min(
+                settled_count, int(np.searchsorted(-length_left, -reach_m)), count - 1
+            )
+            if count - settled_count > MOST_PENDING:
+                settled_count = count // 2
+        if settled_count <= 0:
             return
-        x = np.zeros((settled, profile.PARTS + 1))
-        run = (c[:settled], straight[:settled], cap[:settled], factor[:settled])
-        after = profile.forward(run, self.limits, self.speed, most, x)
-        yield from self._sample(run, x, p.operation[new][:settled])
-        self.speed = after
+        x = np.zeros((settled_count, profile.PARTS + 1))
+        run = (
+            c[:settled_count],
+            straight[:settled_count],
+            cap[:settled_count],
+            factor[:settled_count],
+        )
+        x_after = profile.forward(run, self.limits, self.speed, largest_x, x)
+        yield from self._sample(run, x, p.operation[unfinished][:settled_count])
+        self.speed = x_after
         # The last finished pieces still affect the next ones.
-        over = self.run_over + settled
-        far = self.allowed.reach_s * self.allowed.top_m_s
-        passed = np.cumsum(p.length[:over][::-1])[::-1]
-        kept = int(np.searchsorted(-passed, -far))
-        self.pending, self.run_over = p.take(slice(kept, None)), over - kept
+        finished = self.run_over + settled_count
+        reach_m = self.allowed.reach_s * self.allowed.top_m_s
+        length_passed = np.cumsum(p.length[:finished][::-1])[::-1]
+        first_kept = int(np.searchsorted(-length_passed, -reach_m))
+        self.pending, self.run_over = p.take(slice(first_kept, None)), finished - first_kept
 
     def _sample(
         self,
@@ -165,15 +180,17 @@ class _Run:
         """Yield the motion of pieces, given as in ``profile.backward``, with x from ``forward``."""
         c = run[0]
         state = np.array([0.0, 0.0, self.time_s])
-        out = np.empty((SAMPLES, c.shape[2]))
-        owner = np.empty(SAMPLES, dtype=np.int64)
+        positions = np.empty((SAMPLES, c.shape[2]))
+        piece_of_sample = np.empty(SAMPLES, dtype=np.int64)
         step = self.allowed.smoothing.step_s
         assert self.smoother is not None
         while state[0] < len(c):
-            count = profile.sample(run, self.limits, x, step, state, out, owner)
+            count = profile.sample(run, self.limits, x, step, state, positions, piece_of_sample)
             if count:
-                fresh = self.smoother.extend(out[:count].copy(), operation[owner[:count]])
-                yield from self._emit(*fresh)
+                spline_pieces = self.smoother.extend(
+                    positions[:count].copy(), operation[piece_of_sample[:count]]
+                )
+                yield from self._emit(*spline_pieces)
         self.time_s = float(state[2])
 
     def _emit(self, coefficients: FloatArray, operation: IntArray) -> Iterator[TrajectoryBlock]:
@@ -314,15 +331,15 @@ def _longest(
 ) -> str:
     """Return which of the pieces takes longest, and why."""
     lasts_s = moved_s + block.dwell_s
-    k = int(np.argmax(lasts_s))
-    ways = np.abs(block.coefficients[k, 1:].sum(axis=0)) / fastest
-    if block.dwell_s[k] >= moved_s[k]:
-        why = "its dwell"
-    elif block.nominal_s[k] >= ways.max():
-        why = "its feed"
+    longest = int(np.argmax(lasts_s))
+    axis_times_s = np.abs(block.coefficients[longest, 1:].sum(axis=0)) / fastest
+    if block.dwell_s[longest] >= moved_s[longest]:
+        reason = "its dwell"
+    elif block.nominal_s[longest] >= axis_times_s.max():
+        reason = "its feed"
     else:
-        why = f"the velocity limit of axis {axes[int(np.argmax(ways))]}"
-    return f"line {block.line[k]} of the job alone takes {lasts_s[k]:.3g} s by {why}"
+        reason = f"the velocity limit of axis {axes[int(np.argmax(axis_times_s))]}"
+    return f"line {block.line[longest]} of the job alone takes {lasts_s[longest]:.3g} s by {reason}"
 
 
 def _within_budget(path: PlannedPath, machine: Machine) -> Iterator[PieceBlock]:
@@ -332,15 +349,15 @@ def _within_budget(path: PlannedPath, machine: Machine) -> Iterator[PieceBlock]:
     least_s = 0.0
     # A geometric piece takes as long as its slowest axis needs between its ends.
     fastest = np.array([machine.axes[axis].velocity.si for axis in path.axes])
-    bound = path.timing is not Timing.TIME
+    bound_by_limits = path.timing is not Timing.TIME
     for block in path:
         moved_s, order = block.nominal_s, block.coefficients.shape[1]
-        if bound:
+        if bound_by_limits:
             # Column by column: numpy is slow along short inner axes.
-            way = block.coefficients[:, 1].copy()
+            displacement = block.coefficients[:, 1].copy()
             for k in range(2, order):
-                way += block.coefficients[:, k]
-            for axis_s in (np.abs(way) / fastest).T:
+                displacement += block.coefficients[:, k]
+            for axis_s in (np.abs(displacement) / fastest).T:
                 moved_s = np.maximum(moved_s, axis_s)
         least_s += float(moved_s.sum() + block.dwell_s.sum())
         if least_s / period_s > budget:
@@ -402,11 +419,11 @@ def check_budget(job: Job, machine: Machine, feed: Feed | None = None) -> None:
         total += ticks
         work += _WORK_PER_ITEM + (len(item) if isinstance(item, MoveRun) else 0)
         if total > budget:
-            worst = max(ticks_by_line, key=ticks_by_line.__getitem__)
+            worst_line = max(ticks_by_line, key=ticks_by_line.__getitem__)
             raise BudgetError(
                 f"the job takes more than {total:.3g} ticks of {period_s * 1e3:g} ms at its "
                 f"feeds; the tick budget of {machine.name!r} is {budget:.3g}",
-                place=Place(job.file, worst),
+                place=Place(job.file, worst_line),
                 remedy="Lower L or the dwell, raise the feed, or raise tick_budget in the "
                 "machine file.",
             )
@@ -418,14 +435,16 @@ def _times_s(
     run: MoveRun, position: FloatArray, feed: Feed | None, job: Job, machine: Machine
 ) -> FloatArray:
     """Return the (moves,) least times of the moves of a run that begins at ``position``."""
-    way = np.diff(run.targets, axis=0, prepend=position[None])
-    column = [machine.axis_names.index(axis) for axis in job.axes]
-    least_s: FloatArray = (np.abs(way) / machine.velocity_limit[column]).max(axis=1)
-    ends = [begin for begin, _ in run.feeds[1:]] + [len(way)]
+    displacement = np.diff(run.targets, axis=0, prepend=position[None])
+    columns = [machine.axis_names.index(axis) for axis in job.axes]
+    least_s: FloatArray = (np.abs(displacement) / machine.velocity_limit[columns]).max(axis=1)
+    ends = [begin for begin, _ in run.feeds[1:]] + [len(displacement)]
     for (begin, programmed), end in zip(run.feeds, ends, strict=True):
         if programmed is None or programmed.mode is not FeedMode.RAPID:
-            wanted = wanted_feed(
+            feed_wanted = wanted_feed(
                 programmed, feed, Place(run.file, int(run.line[begin])), job, machine
             )
-            least_s[begin:end], _ = nominal_time_s(way[begin:end], wanted, feed, job, machine)
+            least_s[begin:end], _ = nominal_time_s(
+                displacement[begin:end], feed_wanted, feed, job, machine
+            )
     return least_s

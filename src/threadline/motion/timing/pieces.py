@@ -60,12 +60,12 @@ def allowance(
     the effect of an acceleration there; with a small tolerance the speed must be even up to there.
     """
     tail_m = smoothing.tail_s2 * float(size(limit_a, radius))
-    fine = room_m < _TAILS * tail_m
+    is_fine = room_m < _TAILS * tail_m
     return Allowance(
         smoothing=smoothing,
         radius=radius,
-        slack_m=room_m if fine else room_m - tail_m,
-        reach_s=smoothing.reach_s if fine else smoothing.width_s / 2.0,
+        slack_m=room_m if is_fine else room_m - tail_m,
+        reach_s=smoothing.reach_s if is_fine else smoothing.width_s / 2.0,
         top_m_s=float(size(limit_v, radius)),
     )
 
@@ -134,27 +134,27 @@ def prepare(
     if c.shape[1] < 4:
         c = np.concatenate([c, np.zeros((len(c), 4 - c.shape[1], c.shape[2]))], axis=1)
     straight = ~np.any(c[:, 2:], axis=(1, 2))
-    first, last = _cutting(c, allowed.radius)
-    largest = np.where(straight, 0.0, np.maximum(first, last))
+    first_bend, last_bend = _cutting(c, allowed.radius)
+    largest = np.where(straight, 0.0, np.maximum(first_bend, last_bend))
     with np.errstate(divide="ignore", invalid="ignore"):
         feed = np.where(nominal_s > 0, 1.0 / nominal_s**2, np.inf)
         smooth = 2.0 * allowed.slack_m / (allowed.smoothing.variance_s2 * largest)
-        ahead = np.where(largest > 0, 1.0 - last / largest, 0.0)
-        behind = np.where(largest > 0, 1.0 - first / largest, 0.0)
+        ahead = np.where(largest > 0, 1.0 - last_bend / largest, 0.0)
+        behind = np.where(largest > 0, 1.0 - first_bend / largest, 0.0)
     # In a corner between straight pieces the acceleration rises and falls evenly over the
     # time 2 / u'; the average keeps the fraction 1 - width u' / 8 of its peak (3/4 at least).
-    lone = np.zeros(len(c), dtype=bool)
-    lone[1:-2] = straight[:-3] & ~straight[1:-2] & ~straight[2:-1] & straight[3:]
-    lone[1:-2] &= (behind[1:-2] > 1.0 - _HAT) & (ahead[2:-1] > 1.0 - _HAT)
-    lone[2:-1] |= lone[1:-2]
-    seen = 1.0 - np.minimum(allowed.smoothing.width_s * np.sqrt(smooth) / 8.0, 0.25)
+    lone_corner = np.zeros(len(c), dtype=bool)
+    lone_corner[1:-2] = straight[:-3] & ~straight[1:-2] & ~straight[2:-1] & straight[3:]
+    lone_corner[1:-2] &= (behind[1:-2] > 1.0 - _HAT) & (ahead[2:-1] > 1.0 - _HAT)
+    lone_corner[2:-1] |= lone_corner[1:-2]
+    kept_share = 1.0 - np.minimum(allowed.smoothing.width_s * np.sqrt(smooth) / 8.0, 0.25)
     enter, leave = size(c[:, 1], allowed.radius), size(slope(c), allowed.radius)
     middle = size(c[:, 1] + c[:, 2], allowed.radius)
     return Pieces(
         c=c,
         straight=straight.astype(np.int64),
         feed=feed,
-        smooth=np.where(lone, smooth / seen, smooth),
+        smooth=np.where(lone_corner, smooth / kept_share, smooth),
         ahead=ahead,
         behind=behind,
         length=(enter + middle + leave) / 3.0,
@@ -170,29 +170,29 @@ def divide(pieces: Pieces, allowed: Allowance, *, ends: bool) -> Pieces:
 
     The last piece stays whole unless the run ``ends`` there: the next piece is not known.
     """
-    due = pieces.whole == 1
+    is_due = pieces.whole == 1
     if not ends:
-        due[-1] = False
+        is_due[-1] = False
     reach_s, top_m_s = allowed.reach_s, allowed.top_m_s
-    rows, start, stop = _cut(due, pieces.smooth, _extents(pieces), reach_s, top_m_s)
+    rows, start, stop = _cut(is_due, pieces.smooth, _extents(pieces), reach_s, top_m_s)
     share = stop - start
-    many = np.bincount(rows, minlength=len(pieces))[rows] > 1
-    out = pieces.take(rows)
-    c = out.c.copy()
-    c[many, 0] += start[many, None] * c[many, 1]
-    c[many, 1] *= share[many, None]
+    is_cut = np.bincount(rows, minlength=len(pieces))[rows] > 1
+    parts = pieces.take(rows)
+    c = parts.c.copy()
+    c[is_cut, 0] += start[is_cut, None] * c[is_cut, 1]
+    c[is_cut, 1] *= share[is_cut, None]
     return Pieces(
         c=c,
-        straight=out.straight,
-        feed=out.feed / share**2,
-        smooth=out.smooth,
-        ahead=out.ahead,
-        behind=out.behind,
-        length=out.length * share,
-        leave=out.leave * share,
-        enter=out.enter * share,
-        operation=out.operation,
-        whole=np.where(due[rows], 0, out.whole),
+        straight=parts.straight,
+        feed=parts.feed / share**2,
+        smooth=parts.smooth,
+        ahead=parts.ahead,
+        behind=parts.behind,
+        length=parts.length * share,
+        leave=parts.leave * share,
+        enter=parts.enter * share,
+        operation=parts.operation,
+        whole=np.where(is_due[rows], 0, parts.whole),
     )
 
 
@@ -223,18 +223,18 @@ def _extents(pieces: Pieces) -> _Extents:
 
 def slope(c: FloatArray) -> FloatArray:
     """Return the (n, axes) derivative at the end of each piece."""
-    out = c[:, 1] + 2.0 * c[:, 2]
+    derivative = c[:, 1] + 2.0 * c[:, 2]
     for power in range(3, c.shape[1]):
-        out += float(power) * c[:, power]
-    return np.asarray(out)
+        derivative += float(power) * c[:, power]
+    return np.asarray(derivative)
 
 
 def bend(c: FloatArray) -> FloatArray:
     """Return the (n, axes) second derivative at the end of each piece."""
-    out = 2.0 * c[:, 2]
+    second_derivative = 2.0 * c[:, 2]
     for power in range(3, c.shape[1]):
-        out += float(power * (power - 1)) * c[:, power]
-    return np.asarray(out)
+        second_derivative += float(power * (power - 1)) * c[:, power]
+    return np.asarray(second_derivative)
 
 
 def size(vectors: FloatArray, radius: FloatArray) -> FloatArray:
@@ -259,13 +259,13 @@ def factors(c: FloatArray, radius: FloatArray) -> FloatArray:
     The path is smooth in a common parameter, so its derivatives give the ratio; at a cusp, where
     the axes turn back and the first derivative vanishes, the second derivatives do.
     """
-    first, second = size(slope(c[:-1]), radius), size(c[1:, 1], radius)
+    rate_before, rate_after = size(slope(c[:-1]), radius), size(c[1:, 1], radius)
     largest = np.abs(c[:, 1:] * radius).max(axis=(1, 2), initial=0.0)
-    cusp = (first < _CUSP * largest[:-1]) | (second < _CUSP * largest[1:])
+    cusp = (rate_before < _CUSP * largest[:-1]) | (rate_after < _CUSP * largest[1:])
     with np.errstate(divide="ignore", invalid="ignore"):
-        plain = (first / second) ** 2
+        ratio = (rate_before / rate_after) ** 2
         turning = size(bend(c[:-1]), radius) / size(2.0 * c[1:, 2], radius)
-    return np.append(np.where(cusp, turning, plain), 1.0)
+    return np.append(np.where(cusp, turning, ratio), 1.0)
 
 
 def _cutting(c: FloatArray, radius: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -273,16 +273,16 @@ def _cutting(c: FloatArray, radius: FloatArray) -> tuple[FloatArray, FloatArray]
 
     A shift along the path is no deviation, unless the path turns back there.
     """
-    first, last = c[:, 1] * radius, slope(c) * radius
-    large = np.sqrt(_sum(first**2)), np.sqrt(_sum(last**2))
-    sound = np.minimum(*large) > _CUSP * np.maximum(*large)
-    along = _sum(first * last) / np.where(sound, large[0] * large[1], 1.0)
-    share = (1.0 - np.where(sound, np.clip(along, 0.0, 1.0), 0.0)) ** 2 + _ALONG
+    rate_start, rate_end = c[:, 1] * radius, slope(c) * radius
+    rates = np.sqrt(_sum(rate_start**2)), np.sqrt(_sum(rate_end**2))
+    no_cusp = np.minimum(*rates) > _CUSP * np.maximum(*rates)
+    along = _sum(rate_start * rate_end) / np.where(no_cusp, rates[0] * rates[1], 1.0)
+    share = (1.0 - np.where(no_cusp, np.clip(along, 0.0, 1.0), 0.0)) ** 2 + _ALONG
     ends = []
-    for q_u, q_uu in ((first, 2.0 * c[:, 2] * radius), (last, bend(c) * radius)):
-        square = _sum(q_u**2)
-        part = (_sum(q_u * q_uu) / np.where(square > 0, square, 1.0))[:, None] * q_u
-        ends.append(np.sqrt(_sum((q_uu - part) ** 2) + share * _sum(part**2)))
+    for q_u, q_uu in ((rate_start, 2.0 * c[:, 2] * radius), (rate_end, bend(c) * radius)):
+        rate2 = _sum(q_u**2)
+        along_part = (_sum(q_u * q_uu) / np.where(rate2 > 0, rate2, 1.0))[:, None] * q_u
+        ends.append(np.sqrt(_sum((q_uu - along_part) ** 2) + share * _sum(along_part**2)))
     return ends[0], ends[1]
 
 
@@ -312,76 +312,80 @@ def _cut(due, cap, extents, reach, top):  # type: ignore[no-untyped-def]
     for i in range(count):
         if straight[i] or np.sqrt(cap[i]) * length[i] >= top:
             continue
-        far = np.sqrt(cap[i]) * leave[i] * reach
-        gone = ahead[i] * length[i]
+        reach_m = np.sqrt(cap[i]) * leave[i] * reach
+        passed_m = ahead[i] * length[i]
         for j in range(i + 1, count):
-            if gone >= far:
+            if passed_m >= reach_m:
                 break
-            if straight[j] and far - gone < length[j]:
-                _note(begin[j], far - gone)
-            gone += length[j]
-        far = np.sqrt(cap[i]) * enter[i] * reach
-        gone = behind[i] * length[i]
+            if straight[j] and reach_m - passed_m < length[j]:
+                _note(begin[j], reach_m - passed_m)
+            passed_m += length[j]
+        reach_m = np.sqrt(cap[i]) * enter[i] * reach
+        passed_m = behind[i] * length[i]
         for j in range(i - 1, -1, -1):
-            if gone >= far:
+            if passed_m >= reach_m:
                 break
-            if straight[j] and far - gone < length[j]:
-                _note(end[j], far - gone)
-            gone += length[j]
-    most = count * (2 * _ZONES + 1)
-    rows, start, stop = np.empty(most, dtype=np.int64), np.empty(most), np.empty(most)
+            if straight[j] and reach_m - passed_m < length[j]:
+                _note(end[j], reach_m - passed_m)
+            passed_m += length[j]
+    most_parts = count * (2 * _ZONES + 1)
+    rows, start, stop = (
+        np.empty(most_parts, dtype=np.int64),
+        np.empty(most_parts),
+        np.empty(most_parts),
+    )
     n = 0
     places = np.empty(2 * _ZONES)
     for i in range(count):
-        at = 0.0
+        part_begin = 0.0
         if due[i]:
-            used = 0
+            place_count = 0
             for k in range(_ZONES):
                 if begin[i, k] > 0.0:
-                    places[used] = begin[i, k] / length[i]
-                    used += 1
+                    places[place_count] = begin[i, k] / length[i]
+                    place_count += 1
                 if end[i, k] > 0.0:
-                    places[used] = 1.0 - end[i, k] / length[i]
-                    used += 1
-            for k in range(1, used):  # np.sort() takes as long to compile as all of this
+                    places[place_count] = 1.0 - end[i, k] / length[i]
+                    place_count += 1
+            for k in range(1, place_count):  # np.sort() takes as long to compile as all of this
                 place, m = places[k], k
                 while m > 0 and places[m - 1] > place:
                     places[m] = places[m - 1]
                     m -= 1
                 places[m] = place
-            for place in places[:used]:
-                if place > at + _NEAR and place < 1.0 - _NEAR:
-                    rows[n], start[n], stop[n] = i, at, place
+            for place in places[:place_count]:
+                if place > part_begin + _NEAR and place < 1.0 - _NEAR:
+                    rows[n], start[n], stop[n] = i, part_begin, place
                     n += 1
-                    at = place
-        rows[n], start[n], stop[n] = i, at, 1.0
+                    part_begin = place
+        rows[n], start[n], stop[n] = i, part_begin, 1.0
         n += 1
     return rows[:n], start[:n], stop[:n]
 
 
 @njit()
-def _spread(cap, own, factor, extents, reach, top):  # type: ignore[no-untyped-def]
+def _spread(cap, own_cap, factor, extents, reach, top):  # type: ignore[no-untyped-def]
     """Apply the cap of a curved piece to all pieces within reach of the smoothing."""
     length, leave, enter, straight, ahead, behind = extents
-    for i in range(len(own)):
-        if straight[i] or np.sqrt(own[i]) * length[i] >= top:
+    for i in range(len(own_cap)):
+        if straight[i] or np.sqrt(own_cap[i]) * length[i] >= top:
             continue
-        far = np.sqrt(own[i]) * leave[i] * reach
-        x = own[i]
-        gone = ahead[i] * length[i]
-        for j in range(i + 1, len(own)):
+        reach_m = np.sqrt(own_cap[i]) * leave[i] * reach
+        x = own_cap[i]
+        passed_m = ahead[i] * length[i]
+        for j in range(i + 1, len(own_cap)):
             # A straight piece beyond the reach was cut without need.
-            if gone >= far or (straight[j] and gone + length[j] > far * _WIDE):
+            if passed_m >= reach_m or (straight[j] and passed_m + length[j] > reach_m * _WIDE):
                 break
             x = x * factor[j - 1]
             cap[j] = min(cap[j], x)
-            gone += length[j]
-        far = np.sqrt(own[i]) * enter[i] * reach
-        x = own[i]
-        gone = behind[i] * length[i]
+            passed_m += length[j]
+        reach_m = np.sqrt(own_cap[i]) * enter[i] * reach
+        x = own_cap[i]
+        passed_m = behind[i] * length[i]
         for j in range(i - 1, -1, -1):
-            if gone >= far or (straight[j] and gone + length[j] > far * _WIDE):
+            if passed_m >= reach_m or (straight[j] and passed_m + length[j] > reach_m * _WIDE):
                 break
             x = x / factor[j]
             cap[j] = min(cap[j], x)
-            gone += length[j]
+            passed_m += length[j]

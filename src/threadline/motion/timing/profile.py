@@ -135,14 +135,14 @@ def backward(run, limits, end_x, most, merge):
     p = np.empty(rows)
     s = np.empty(rows)
     bound = np.empty(rows)
-    after = end_x
+    x_after = end_x
     for i in range(len(c) - 1, -1, -1):
         if i < len(c) - 1:
-            after = after / factor[i]
+            x_after = x_after / factor[i]
         if straight[i]:
             top, push = straight_limits(c[i], limit_v, limit_a)
             top = min(top, cap[i])
-            end = min(after, top)
+            end = min(x_after, top)
             begin = min(top, end + 2.0 * push)
             if not merge:
                 most[i, PARTS] = end
@@ -150,7 +150,7 @@ def backward(run, limits, end_x, most, merge):
             elif begin <= most[i, 0] * (1.0 + 1e-12):
                 return i
         else:
-            end = min(after, cap[i])
+            end = min(x_after, cap[i])
             if not merge:
                 most[i, PARTS] = end
             begin = end
@@ -163,7 +163,7 @@ def backward(run, limits, end_x, most, merge):
                 end = begin
             if merge and begin <= most[i, 0] * (1.0 + 1e-12):
                 return i
-        after = begin
+        x_after = begin
     return -1
 
 
@@ -179,21 +179,21 @@ def forward(run, limits, start_x, most, x):
     p = np.empty(rows)
     s = np.empty(rows)
     bound = np.empty(rows)
-    now = start_x
+    x_now = start_x
     for i in range(len(c)):
-        now = min(now, most[i, 0])
-        x[i, 0] = now
+        x_now = min(x_now, most[i, 0])
+        x[i, 0] = x_now
         if straight[i]:
             _, push = straight_limits(c[i], limit_v, limit_a)
-            now = min(most[i, PARTS], now + 2.0 * push)
-            x[i, PARTS] = now
+            x_now = min(most[i, PARTS], x_now + 2.0 * push)
+            x[i, PARTS] = x_now
         else:
             for part in range(PARTS):
                 part_rows(c[i], part, limit_v, limit_a, p, s, bound)
-                now = largest_end(p, s, bound, now, most[i, part + 1])
-                x[i, part + 1] = now
-        now = now * factor[i]
-    return now
+                x_now = largest_end(p, s, bound, x_now, most[i, part + 1])
+                x[i, part + 1] = x_now
+        x_now = x_now * factor[i]
+    return x_now
 
 
 @njit()
@@ -230,10 +230,10 @@ def sample(run, limits, x, step, state, out, owner):
             peak = cruise(x0, x1, push, min(top, cap[piece]))
             v0, v1, vp = np.sqrt(x0), np.sqrt(x1), np.sqrt(peak)
             t1, t3 = (vp - v0) / push, (vp - v1) / push
-            way = 1.0 - (peak - x0) / (2.0 * push) - (peak - x1) / (2.0 * push)
-            t2 = max(0.0, way) / vp
-            whole = t1 + t2 + t3
-            while time < whole:
+            cruise_share = 1.0 - (peak - x0) / (2.0 * push) - (peak - x1) / (2.0 * push)
+            t2 = max(0.0, cruise_share) / vp
+            part_time = t1 + t2 + t3
+            while time < part_time:
                 if count == len(out):
                     state[0], state[1], state[2] = piece, 0, time
                     return count
@@ -242,22 +242,22 @@ def sample(run, limits, x, step, state, out, owner):
                 elif time < t1 + t2:
                     u = (peak - x0) / (2.0 * push) + vp * (time - t1)
                 else:
-                    left = whole - time
-                    u = 1.0 - (v1 + 0.5 * push * left) * left
+                    time_left = part_time - time
+                    u = 1.0 - (v1 + 0.5 * push * time_left) * time_left
                 for j in range(c.shape[2]):
                     out[count, j] = c[piece, 0, j] + c[piece, 1, j] * u
                 owner[count] = piece
                 count += 1
                 time += step
-            time -= whole
+            time -= part_time
         else:
             du = 1.0 / PARTS
             while part < PARTS:
                 x0, x1 = x[piece, part], x[piece, part + 1]
                 v0 = np.sqrt(x0)
-                whole = 2.0 * du / (v0 + np.sqrt(x1))
+                part_time = 2.0 * du / (v0 + np.sqrt(x1))
                 push = (x1 - x0) / (2.0 * du)
-                while time < whole:
+                while time < part_time:
                     if count == len(out):
                         state[0], state[1], state[2] = piece, part, time
                         return count
@@ -269,7 +269,7 @@ def sample(run, limits, x, step, state, out, owner):
                     owner[count] = piece
                     count += 1
                     time += step
-                time -= whole
+                time -= part_time
                 part += 1
         part = 0
         piece += 1

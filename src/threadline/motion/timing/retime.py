@@ -55,10 +55,10 @@ class Retimed(Locked, Trajectory):
 
     def __call__(self, time_s: FloatArray | float, derivative: int = 0) -> FloatArray:
         """Return the (m, axes) ``derivative``-th derivative, as ``Trajectory`` does."""
-        found = super().__call__(time_s, derivative)
+        values = super().__call__(time_s, derivative)
         if derivative == 0 and self.duration_s == 0.0:
-            found[:] = self.start
-        return found
+            values[:] = self.start
+        return values
 
     @property
     def bound(self) -> float:
@@ -68,33 +68,33 @@ class Retimed(Locked, Trajectory):
 
 def limits_used(trajectory: Trajectory, limits: Limits) -> dict[str, FloatArray]:
     """Return bounds of the used share of each limit; see ``Retimed.shares``."""
-    out: dict[str, FloatArray] = {}
+    shares: dict[str, FloatArray] = {}
     for block in trajectory:
         for name, share in _of_block(block, limits).items():
-            out[name] = np.maximum(share, out.get(name, 0.0))
-    return out
+            shares[name] = np.maximum(share, shares.get(name, 0.0))
+    return shares
 
 
 def _of_block(block: TrajectoryBlock, limits: Limits) -> dict[str, FloatArray]:
     c, duration_s = _parted(block)
     rates = [c]
     for _ in range(3):
-        last = rates[-1]
-        rates.append(last[:, 1:] * np.arange(1.0, last.shape[1])[:, None])
+        previous = rates[-1]
+        rates.append(previous[:, 1:] * np.arange(1.0, previous.shape[1])[:, None])
     v, a, j = (_hull(rates[k]) / duration_s[:, None, None] ** k for k in (1, 2, 3))
-    own = limits.along
-    out = {
+    along = limits.along
+    shares = {
         "velocity": np.abs(v).max(axis=(0, 1)) / limits.velocity,
         "acceleration": used_shares(v, a, limits.sides).max(axis=0),
         "jerk": np.abs(j).max(axis=(0, 1)) / limits.jerk,
     }
-    if own is not None:
+    if along is not None:
         names = ("path_velocity", "path_acceleration", "path_jerk")
-        for name, share in zip(names, true_shares(c, duration_s, own), strict=True):
-            out[name] = np.array([share])
-        most = float((across(c * own.radius_m) / duration_s**2).max())
-        out["centripetal"] = np.array([most / own.centripetal])
-    return out
+        for name, share in zip(names, true_shares(c, duration_s, along), strict=True):
+            shares[name] = np.array([share])
+        largest = float((across(c * along.radius_m) / duration_s**2).max())
+        shares["centripetal"] = np.array([largest / along.centripetal])
+    return shares
 
 
 def _parted(block: TrajectoryBlock) -> tuple[FloatArray, FloatArray]:
@@ -274,17 +274,17 @@ def vertex_blocks(places: FloatArray, rests: IntArray | None) -> Iterator[Vertex
     """Yield the places as vertices, in blocks whose results fit into the processor's cache."""
     count = len(places)
     for first in range(0, count, AT_A_TIME):
-        own = slice(first, min(first + AT_A_TIME, count))
-        rows = slice(0, own.stop - first)
-        rest = _ZEROS[rows] if rests is None else rests[own]
-        if own.stop == count:
+        point_rows = slice(first, min(first + AT_A_TIME, count))
+        rows = slice(0, point_rows.stop - first)
+        rest = _ZEROS[rows] if rests is None else rests[point_rows]
+        if point_rows.stop == count:
             rest = rest.copy()
             rest[-1] = 1
-        operation = np.arange(first - 1, own.stop - 1)
+        operation = np.arange(first - 1, point_rows.stop - 1)
         operation[0] = max(first - 1, 0)
         operation.flags.writeable = False
         yield VertexBlock(
-            positions=places[own],
+            positions=places[point_rows],
             operation=operation,
             nominal_s=_NOTHING[rows],
             rest=rest,
@@ -302,8 +302,8 @@ def checked_points(points: ArrayLike) -> FloatArray:
         If they cannot be converted, or a coordinate is out of range; names the point.
     """
     try:
-        own = type(points) is np.ndarray and points.dtype == np.float64
-        places: FloatArray = np.asarray(points) if own else real_numbers(points)
+        is_float_array = type(points) is np.ndarray and points.dtype == np.float64
+        places: FloatArray = np.asarray(points) if is_float_array else real_numbers(points)
     except (TypeError, ValueError) as error:
         raise PlanError(
             f"the points are not an array of numbers of at most {_LARGEST:g}",
@@ -314,14 +314,14 @@ def checked_points(points: ArrayLike) -> FloatArray:
             f"the points have shape {places.shape}; they must be at least 1 row of at least 1 axis",
             remedy="A single axis is a column: points[:, None].",
         )
-    wrong = np.zeros(0, dtype=np.int64)
+    wrong_rows = np.zeros(0, dtype=np.int64)
     # Usually one sum of squares already shows that all are in range, and none is NaN.
     if not np.vdot(places, places) <= _LARGEST**2:
-        wrong = np.flatnonzero(~(np.abs(places) <= _LARGEST).all(axis=1))
-    if len(wrong):
+        wrong_rows = np.flatnonzero(~(np.abs(places) <= _LARGEST).all(axis=1))
+    if len(wrong_rows):
         raise PlanError(
-            f"point {wrong[0]} is {places[wrong[0]].tolist()}; every coordinate must be a number "
-            f"of at most {_LARGEST:g}",
+            f"point {wrong_rows[0]} is {places[wrong_rows[0]].tolist()}; every coordinate must be "
+            f"a number of at most {_LARGEST:g}",
             remedy="Correct it, or leave it out.",
         )
     return places

@@ -37,7 +37,7 @@ def smoothed_blocks(path: PlannedPath, machine: Machine) -> Iterator[TrajectoryB
     """
     smoothing = smoothing_for(machine, path.axes)
     smoother: Smoother | None = None
-    now, phase, done = 0.0, 0.0, 0  # start of the run, time to the next sample, pieces out
+    now_s, phase, piece_count = 0.0, 0.0, 0  # start of the run, time to the next sample, pieces out
     for pieces in path:
         stops = np.flatnonzero(pieces.rest_after)
         edges = [0, *(int(stop) + 1 for stop in stops)]
@@ -52,40 +52,42 @@ def smoothed_blocks(path: PlannedPath, machine: Machine) -> Iterator[TrajectoryB
                     smoother = Smoother(smoothing, part.coefficients[0, 0], int(part.operation[0]))
                 count = max(0, int(np.ceil((block.end_s - phase) / smoothing.step_s)))
                 # A slow piece has up to a billion samples; equal parts leave no short one over.
-                parts = -(-count // SAMPLES) or 1
-                for k in range(parts):
-                    some = np.arange(k * count // parts, (k + 1) * count // parts)
-                    times = np.asarray(phase + some * smoothing.step_s, dtype=np.float64)
-                    which = np.searchsorted(block.start_s, times, side="right") - 1
-                    fresh = smoother.extend(block.evaluate(times), block.operation[which])
-                    yield from _placed(fresh, now, done, smoothing.step_s)
-                    done += len(fresh[0])
+                part_count = -(-count // SAMPLES) or 1
+                for k in range(part_count):
+                    sample_numbers = np.arange(
+                        k * count // part_count, (k + 1) * count // part_count
+                    )
+                    times = np.asarray(phase + sample_numbers * smoothing.step_s, dtype=np.float64)
+                    piece = np.searchsorted(block.start_s, times, side="right") - 1
+                    spline_pieces = smoother.extend(block.evaluate(times), block.operation[piece])
+                    yield from _placed(spline_pieces, now_s, piece_count, smoothing.step_s)
+                    piece_count += len(spline_pieces[0])
                 phase += count * smoothing.step_s - block.end_s
             if not pieces.rest_after[stop - 1]:
                 continue
             end = pieces.coefficients[stop - 1].sum(axis=0)
             operation = int(pieces.operation[stop - 1])
             if smoother is not None:
-                fresh = smoother.finish(end, operation)
-                yield from _placed(fresh, now, done, smoothing.step_s)
-                now += (done + len(fresh[0])) * smoothing.step_s
+                spline_pieces = smoother.finish(end, operation)
+                yield from _placed(spline_pieces, now_s, piece_count, smoothing.step_s)
+                now_s += (piece_count + len(spline_pieces[0])) * smoothing.step_s
             dwell = float(pieces.dwell_s[stop - 1])
             if dwell > 0:
-                yield held_block(end, now, dwell, operation)
-                now += dwell
-            smoother, phase, done = None, 0.0, 0
+                yield held_block(end, now_s, dwell, operation)
+                now_s += dwell
+            smoother, phase, piece_count = None, 0.0, 0
 
 
 def _placed(
-    fresh: tuple[FloatArray, object], begin_s: float, done: int, step_s: float
+    spline_pieces: tuple[FloatArray, object], begin_s: float, first_piece: int, step_s: float
 ) -> Iterator[TrajectoryBlock]:
-    count = len(fresh[0])
+    count = len(spline_pieces[0])
     if count:
         yield TrajectoryBlock(
-            start_s=np.asarray(begin_s + (done + np.arange(count)) * step_s),
+            start_s=np.asarray(begin_s + (first_piece + np.arange(count)) * step_s),
             duration_s=np.full(count, step_s),
-            coefficients=fresh[0],
-            operation=np.asarray(fresh[1]),
+            coefficients=spline_pieces[0],
+            operation=np.asarray(spline_pieces[1]),
         )
 
 
@@ -93,8 +95,8 @@ def _pieces_by_samples(
     pieces: PieceBlock, first: int, stop: int, step_s: float
 ) -> Iterator[PieceBlock]:
     """Yield pieces ``first`` to ``stop`` without their dwells, in parts with few samples."""
-    passed = np.cumsum(pieces.nominal_s[first:stop]) // (SAMPLES * step_s)
-    edges = first + np.flatnonzero(np.diff(passed, prepend=-1.0))
+    sample_chunks = np.cumsum(pieces.nominal_s[first:stop]) // (SAMPLES * step_s)
+    edges = first + np.flatnonzero(np.diff(sample_chunks, prepend=-1.0))
     for begin, end in zip(edges, [*edges[1:], stop], strict=True):
         rows = slice(int(begin), int(end))
         yield PieceBlock(
@@ -121,14 +123,14 @@ def _block(pieces: PieceBlock, begin_s: float) -> TrajectoryBlock | None:
     coefficients = np.zeros((count, 2, order, axes))
     coefficients[:, 0] = pieces.coefficients
     coefficients[:, 1, 0] = pieces.coefficients.sum(axis=1)
-    kept = duration > 0
-    if not kept.any():
+    is_kept = duration > 0
+    if not is_kept.any():
         return None
-    duration = duration[kept]
+    duration = duration[is_kept]
     start = begin_s + np.concatenate([[0.0], np.cumsum(duration)[:-1]])
     return TrajectoryBlock(
         start_s=start,
         duration_s=duration,
-        coefficients=coefficients.reshape(2 * count, order, axes)[kept],
-        operation=np.repeat(pieces.operation, 2)[kept],
+        coefficients=coefficients.reshape(2 * count, order, axes)[is_kept],
+        operation=np.repeat(pieces.operation, 2)[is_kept],
     )

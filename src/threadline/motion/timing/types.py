@@ -73,11 +73,11 @@ class TrajectoryBlock(Locked):
         # One row per axis: loops over a short inner axis would take four times as long.
         result = np.zeros((self.coefficients.shape[2], len(time_s)))
         for k in range(self.coefficients.shape[1] - 1, derivative - 1, -1):
-            own = self.coefficients[:, k].T.take(piece, axis=1)
+            column = self.coefficients[:, k].T.take(piece, axis=1)
             if derivative:
-                own *= float(prod(range(k - derivative + 1, k + 1)))
+                column *= float(prod(range(k - derivative + 1, k + 1)))
             result *= u
-            result += own
+            result += column
         if derivative:
             result /= duration**derivative
         return np.ascontiguousarray(result.T)
@@ -96,11 +96,11 @@ def _checked_times(time_s: FloatArray | float) -> FloatArray:
             f"the times have shape {times.shape}; they must be one number, or a row of them",
             remedy="Give times.ravel(), and reshape the result.",
         )
-    wrong = np.flatnonzero(~np.isfinite(times))
-    if len(wrong):
+    wrong_times = np.flatnonzero(~np.isfinite(times))
+    if len(wrong_times):
         raise PlanError(
-            f"time {wrong[0]} is {times[wrong[0]].item()!r}; every time must be a finite number "
-            "of seconds",
+            f"time {wrong_times[0]} is {times[wrong_times[0]].item()!r}; every time must be a "
+            "finite number of seconds",
             remedy="Correct it, or leave it out.",
         )
     return times
@@ -137,12 +137,12 @@ class Trajectory:
         moved = False
         for block in self.blocks:
             end_s = block.end_s
-            goes = block.coefficients[:, 1:]
-            if goes[-1].any() and (moved or goes[0].any()):  # by far the most frequent case
+            rates = block.coefficients[:, 1:]
+            if rates[-1].any() and (moved or rates[0].any()):  # by far the most frequent case
                 moves_s = moves_s[0] if moved else float(block.start_s[0]), end_s
                 moved = True
             else:
-                moving = (goes != 0.0).any(axis=(1, 2))
+                moving = (rates != 0.0).any(axis=(1, 2))
                 if moving.any():
                     begin_s = moves_s[0] if moved else float(block.start_s[moving][0])
                     moves_s = begin_s, float((block.start_s + block.duration_s)[moving][-1])
@@ -154,8 +154,8 @@ class Trajectory:
         if _SPAN not in self.__dict__:
             for _ in self:
                 pass
-        known: tuple[float, tuple[float, float]] = self.__dict__[_SPAN]
-        return known
+        span_s: tuple[float, tuple[float, float]] = self.__dict__[_SPAN]
+        return span_s
 
     @property
     def duration_s(self) -> float:
@@ -183,20 +183,20 @@ class Trajectory:
                 f"the derivative is {derivative!r}; it must be a whole number from 0 on",
                 remedy="0 is the place, 1 the velocity, 2 the acceleration.",
             )
-        wanted = _checked_times(time_s)
-        result = np.zeros((len(wanted), len(self.axes)))
-        last = None
+        times_s = _checked_times(time_s)
+        result = np.zeros((len(times_s), len(self.axes)))
+        last_block = None
         for block in self:
-            begin = -np.inf if last is None else float(block.start_s[0])
-            inside = (wanted >= begin) & (wanted <= block.end_s)
+            begin = -np.inf if last_block is None else float(block.start_s[0])
+            inside = (times_s >= begin) & (times_s <= block.end_s)
             if inside.any():
-                result[inside] = block.evaluate(wanted[inside], derivative)
-            last = block
-        if last is not None:
-            after = wanted > last.end_s
-            if after.any():
-                end = np.full(int(after.sum()), last.end_s)
-                result[after] = last.evaluate(end) if derivative == 0 else 0.0
+                result[inside] = block.evaluate(times_s[inside], derivative)
+            last_block = block
+        if last_block is not None:
+            is_after = times_s > last_block.end_s
+            if is_after.any():
+                end = np.full(int(is_after.sum()), last_block.end_s)
+                result[is_after] = last_block.evaluate(end) if derivative == 0 else 0.0
         return result
 
 
@@ -214,12 +214,12 @@ class TrajectoryReader:
 
     def ladder(self, time_s: FloatArray, orders: int) -> FloatArray:
         """Return the (n, orders, axes) position and derivatives at (n,) ascending times."""
-        found = np.zeros((len(time_s), orders, self._axes))
+        rungs = np.zeros((len(time_s), orders, self._axes))
         if not len(time_s):
-            return found
+            return rungs
         self._reach(float(time_s[-1]))
         if not self._blocks:
-            return found
+            return rungs
         edges = np.searchsorted(time_s, [block.end_s for block in self._blocks], side="right")
         edges[-1] = len(time_s)
         begin = 0
@@ -227,11 +227,11 @@ class TrajectoryReader:
             if end > begin:
                 part = slice(begin, end)
                 for order in range(orders):
-                    found[part, order] = block.evaluate(time_s[part], order)
+                    rungs[part, order] = block.evaluate(time_s[part], order)
                 begin = end
         outside = (time_s < self._blocks[0].start_s[0]) | (time_s > self._blocks[-1].end_s)
-        found[outside, 1:] = 0.0
-        return found
+        rungs[outside, 1:] = 0.0
+        return rungs
 
     def drop(self, before_s: float) -> None:
         """Discard pieces that end before an instant, except the last known block."""

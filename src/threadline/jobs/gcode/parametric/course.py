@@ -68,27 +68,27 @@ class Run:
         JobError
             If a line cannot be read, a formula has no value, or too many lines run.
         """
-        line, done = 0, 0
-        steps, kept = self._flow.steps, self._statements
-        most = MOST_LINES + len(self._codes)
+        line, lines_run = 0, 0
+        steps, kept_statements = self._flow.steps, self._statements
+        most_lines = MOST_LINES + len(self._codes)
         while line < len(self._codes):
-            done += 1
+            lines_run += 1
             self.idle += 1
-            if done > most or self.idle > MOST_IDLE + len(self._codes):
-                self._endless(line, done > most)
+            if lines_run > most_lines or self.idle > MOST_IDLE + len(self._codes):
+                self._endless(line, lines_run > most_lines)
             step = steps.get(line)
             if step is not None:
                 line = self._next(step)
                 continue
-            if line in kept:
-                one = kept[line]
+            if line in kept_statements:
+                block_statement = kept_statements[line]
             else:
-                one = statement(self._codes[line], self._flavour, self._place(line))
-                if len(kept) < _KEPT:
-                    kept[line] = one
+                block_statement = statement(self._codes[line], self._flavour, self._place(line))
+                if len(kept_statements) < _KEPT:
+                    kept_statements[line] = block_statement
             line += 1
-            if one is not None:
-                yield one.worked_out(self._values), line
+            if block_statement is not None:
+                yield block_statement.worked_out(self._values), line
 
     def _endless(self, line: int, all_lines: bool) -> NoReturn:
         count = f"{MOST_LINES} lines again" if all_lines else f"{MOST_IDLE} lines without a move"
@@ -146,20 +146,20 @@ class Run:
     def _branch(self, step: Step) -> int:
         if self._value(step):
             return step.line + 1
-        for line in step.branches[:-1]:
-            other = self._flow.steps[line]
-            if other.o.word == "else" or self._value(other):
-                return line + 1
+        for branch_line in step.branches[:-1]:
+            branch = self._flow.steps[branch_line]
+            if branch.o.word == "else" or self._value(branch):
+                return branch_line + 1
         return step.branches[-1] + 1
 
     def _while(self, step: Step) -> int:
         if step.begin >= 0:  # this while ends a do
-            again = bool(self._value(step)) and not self._broken
-            self._broken = self._broken and again
-            return step.begin + 1 if again else step.line + 1
+            goes_on = bool(self._value(step)) and not self._broken
+            self._broken = self._broken and goes_on
+            return step.begin + 1 if goes_on else step.line + 1
         return step.line + 1 if self._value(step) else self._leave(step, step.line)
 
-    def _leave(self, begun: Step, line: int) -> int:
+    def _leave(self, loop: Step, line: int) -> int:
         """Return the line that runs next after a loop is left at ``line``.
 
         LinuxCNC reads on to the end of the loop. It takes each ``break`` of the same label on the
@@ -167,21 +167,21 @@ class Run:
         which restarts the loop.
         """
         if not self._flavour.subroutines:
-            return begun.end + 1
-        self._broken = self._broken or any(other > line for other in begun.branches)
-        if begun.o.word == "do":
-            return begun.end
-        again, self._continued = self._continued, False
-        return begun.line if again else begun.end + 1
+            return loop.end + 1
+        self._broken = self._broken or any(break_line > line for break_line in loop.branches)
+        if loop.o.word == "do":
+            return loop.end
+        is_continued, self._continued = self._continued, False
+        return loop.line if is_continued else loop.end + 1
 
     def _repeat(self, step: Step) -> int:
-        left = self._counts.get(step.line)
-        if left is None:
-            left = self._times(step, self._value(step))
-        if left <= 0:
+        passes_left = self._counts.get(step.line)
+        if passes_left is None:
+            passes_left = self._times(step, self._value(step))
+        if passes_left <= 0:
             self._counts.pop(step.line, None)
             return self._leave(step, step.line)
-        self._counts[step.line] = left - 1
+        self._counts[step.line] = passes_left - 1
         return step.line + 1
 
     def _times(self, step: Step, value: float) -> int:
@@ -202,43 +202,43 @@ class Run:
         return max(1, int(value)) if value else 0
 
     def _break(self, step: Step) -> int:
-        begun = self._flow.steps[step.begin]
-        self._counts.pop(begun.line, None)
-        self._leave_inner(begun, step)
+        loop = self._flow.steps[step.begin]
+        self._counts.pop(loop.line, None)
+        self._leave_inner(loop, step)
         self._broken = self._flavour.subroutines
-        return self._leave(begun, step.line)
+        return self._leave(loop, step.line)
 
     def _continue(self, step: Step) -> int:
-        begun = self._flow.steps[step.begin]
+        loop = self._flow.steps[step.begin]
         if self._flavour.subroutines:
             self._continued = True
-            return self._leave(begun, step.line)
-        self._leave_inner(begun, step)
-        if begun.o.word == "do":
-            return begun.line + 1  # FluidNC restarts without testing the condition
-        if begun.o.word == "while" and not self._value(begun):
+            return self._leave(loop, step.line)
+        self._leave_inner(loop, step)
+        if loop.o.word == "do":
+            return loop.line + 1  # FluidNC restarts without testing the condition
+        if loop.o.word == "while" and not self._value(loop):
             raise JobError(
-                f"continue {begun.o.label}, where its while no longer holds: FluidNC goes on "
+                f"continue {loop.o.label}, where its while no longer holds: FluidNC goes on "
                 "behind it, and stops at endwhile",
                 place=self._place(step.line),
                 remedy="Write if ... endif around the rest of the loop.",
             )
-        if begun.o.word == "repeat" and self._counts.get(begun.line, 0) <= 0:
+        if loop.o.word == "repeat" and self._counts.get(loop.line, 0) <= 0:
             raise JobError(
-                f"continue {begun.o.label} in its last pass: FluidNC goes on behind it, and stops "
+                f"continue {loop.o.label} in its last pass: FluidNC goes on behind it, and stops "
                 "at endrepeat",
                 place=self._place(step.line),
                 remedy="Write if ... endif around the rest of the loop.",
             )
-        return begun.line
+        return loop.line
 
-    def _leave_inner(self, begun: Step, step: Step) -> None:
+    def _leave_inner(self, loop: Step, step: Step) -> None:
         """Drop the counts of repeats inside a loop when a break or continue leaves them.
 
         LinuxCNC keeps these counts.
         """
         if not self._flavour.subroutines:
-            for line in [k for k in self._counts if begun.line < k < step.line]:
+            for line in [k for k in self._counts if loop.line < k < step.line]:
                 del self._counts[line]
 
     def _call(self, step: Step) -> int:
@@ -254,22 +254,22 @@ class Run:
         label, formulas = self._arguments[step.line]
         if step.o.formula:
             reader = FormulaReader(step.o.formula, self._flavour, place)
-            which = reader.whole()
+            label_formula = reader.whole()
             if reader.more():
                 reader.refuse("an O word has no such label")
-            label = str(which(self._values))
-        target = self._flow.subs.get(label)
-        if target is None:
-            known = ", ".join(list(self._flow.subs)[:5])
+            label = str(label_formula(self._values))
+        sub_line = self._flow.subs.get(label)
+        if sub_line is None:
+            labels = ", ".join(list(self._flow.subs)[:5])
             raise JobError(
                 f"sub {label[:40]} is not in this file",
                 place=place,
-                remedy=f"It has {known or 'none'}. Files of their own are not looked for: put the "
+                remedy=f"It has {labels or 'none'}. Files of their own are not looked for: put the "
                 "subroutine into the program.",
             )
         self._values.enter([formula(self._values) for formula in formulas], place)
         self._callers.append(step.line + 1)
-        return target + 1
+        return sub_line + 1
 
     def _return(self, step: Step) -> int:
         returned = self._value(step) if step.o.rest else None

@@ -42,11 +42,11 @@ def o_word(code: str, place: Place) -> OWord | None:
     JobError
         If the line begins with ``o`` and is no O word.
     """
-    begin = code.lstrip("n0123456789") if code[:1] == "n" else code
-    if begin[:1] != "o":
+    unnumbered_code = code.lstrip("n0123456789") if code[:1] == "n" else code
+    if unnumbered_code[:1] != "o":
         return None
-    found = _O_WORD.fullmatch(code)
-    if found is None:
+    match = _O_WORD.fullmatch(code)
+    if match is None:
         if _NUMBERED.fullmatch(code):
             raise JobError(
                 "a program that begins with its number does not go with O words and parameters "
@@ -60,7 +60,7 @@ def o_word(code: str, place: Place) -> OWord | None:
             remedy="After the label stands sub, endsub, call, return, if, elseif, else, endif, "
             "while, endwhile, do, repeat, endrepeat, break or continue.",
         )
-    name, number, formula, word, rest = found.groups()
+    name, number, formula, word, rest = match.groups()
     label = str(int(number)) if number and len(number) < 10 else (number or name or "")
     return OWord(label, formula or "", word, rest)
 
@@ -130,25 +130,25 @@ class FlowReader:
         word = o.word
         self._check(o, line)
         if word == "while" and self._open and self._is(self._open[-1], "do", o.label):
-            begun = self._open.pop()
-            begun.end, step.begin = line, begun.line
+            opener = self._open.pop()
+            opener.end, step.begin = line, opener.line
         elif word in _OPENS:
             self._refuse_while_in_do(o, line)
             self._begin(step)
         elif word in _CLOSES:
-            begun = self._innermost(step, _CLOSES[word])
+            opener = self._innermost(step, _CLOSES[word])
             self._open.pop()
-            begun.end, step.begin = line, begun.line
+            opener.end, step.begin = line, opener.line
             if word == "endif":
-                begun.branches.append(line)
+                opener.branches.append(line)
             if word == "endsub":
                 self._sub = ""
         elif word in {"elseif", "else"}:
-            begun = self._innermost(step, "if")
-            if begun.branches and self._flow.steps[begun.branches[-1]].o.word == "else":
+            opener = self._innermost(step, "if")
+            if opener.branches and self._flow.steps[opener.branches[-1]].o.word == "else":
                 self._refuse(line, f"{word} stands behind else", "Write else last.")
-            begun.branches.append(line)
-            step.begin = begun.line
+            opener.branches.append(line)
+            step.begin = opener.line
         elif word in {"break", "continue"}:
             loop = self._loop(o, line)
             step.begin = loop.line
@@ -157,7 +157,7 @@ class FlowReader:
         elif word == "return":
             if not self._sub:
                 self._refuse(line, "return stands outside of a subroutine", "Take it out.")
-            if any(one.o.word == "repeat" for one in self._open):
+            if any(block.o.word == "repeat" for block in self._open):
                 self._refuse(
                     line,
                     "return stands in a repeat, whose count LinuxCNC then keeps for the next call",
@@ -173,10 +173,10 @@ class FlowReader:
             If a block has no end.
         """
         if self._open:
-            last = self._open[-1]
+            innermost = self._open[-1]
             self._refuse(
-                last.line,
-                f"{last.o.word} {last.o.label} has no end",
+                innermost.line,
+                f"{innermost.o.word} {innermost.o.label} has no end",
                 "Add it, with the same label.",
             )
         return self._flow
@@ -215,20 +215,20 @@ class FlowReader:
             if self._open:
                 self._refuse(line, "a subroutine begins inside another block", "Move it outside.")
             if label in self._flow.subs:
-                first = self._flow.subs[label] + 1
+                first_line = self._flow.subs[label] + 1
                 self._refuse(
-                    line, f"sub {label} is defined twice, first on line {first}", "Rename one."
+                    line, f"sub {label} is defined twice, first on line {first_line}", "Rename one."
                 )
             self._flow.subs[label] = line
             self._sub = label
         elif self._flavour.labels_once and (self._sub, label) in self._labels:
-            first = self._labels[self._sub, label] + 1
+            first_line = self._labels[self._sub, label] + 1
             self._refuse(
                 line,
-                f"the label {label} names a block twice, first on line {first}",
+                f"the label {label} names a block twice, first on line {first_line}",
                 "Give one another label, as LinuxCNC wants it.",
             )
-        elif any(one.o.label == label for one in self._open if one.o.word != "sub"):
+        elif any(block.o.label == label for block in self._open if block.o.word != "sub"):
             self._refuse(line, f"the label {label} names a block inside its own", "Rename one.")
         if len(self._open) >= MAX_NESTED:
             self._refuse(
@@ -241,23 +241,23 @@ class FlowReader:
     def _innermost(self, step: Step, word: str) -> Step:
         o, line = step.o, step.line
         if not self._open or not self._is(self._open[-1], word, o.label):
-            inside = (
+            enclosing_block = (
                 f", which stands in {self._open[-1].o.word} {self._open[-1].o.label}"
                 if (self._open)
                 else ""
             )
             self._refuse(
                 line,
-                f"{o.word} {o.label} has no {word} of that label before it{inside}",
+                f"{o.word} {o.label} has no {word} of that label before it{enclosing_block}",
                 "Blocks end in the reverse order of their beginnings.",
             )
         return self._open[-1]
 
     def _loop(self, o: OWord, line: int) -> Step:
         loops = [
-            one
-            for one in self._open
-            if one.o.word in {"while", "do", "repeat"} and one.o.label == o.label
+            block
+            for block in self._open
+            if block.o.word in {"while", "do", "repeat"} and block.o.label == o.label
         ]
         if not loops:
             self._refuse(line, f"{o.word} {o.label} stands in no loop of that label", "Correct it.")

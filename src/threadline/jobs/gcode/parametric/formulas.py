@@ -94,9 +94,9 @@ class FormulaReader:
         if c in {"+", "-"} and c:
             self.at += 1
             self._deeper()
-            inner = self.value()
+            operand = self.value()
             self._nested -= 1
-            return inner if c == "+" else lambda values: -inner(values)
+            return operand if c == "+" else lambda values: -operand(values)
         function = _FUNCTION.match(self.text, self.at)
         if function is None:
             self.refuse("a number, a parameter or an expression is missing")
@@ -122,13 +122,14 @@ class FormulaReader:
 
     def whole(self) -> Callable[[Values], int]:
         """Read a value that must be a whole number, within 0.0001 (exactly for FluidNC)."""
-        value, place = self.value(), self._place
-        apart = 0.0 if self._flavour is FLUIDNC else _ALMOST_WHOLE  # FluidNC cuts decimals off
+        formula, place = self.value(), self._place
+        # FluidNC cuts decimals off.
+        tolerance = 0.0 if self._flavour is FLUIDNC else _ALMOST_WHOLE
 
         def whole(values: Values) -> int:
-            number = value(values)
+            number = formula(values)
             nearest = math.floor(number + 0.5)
-            if abs(number - nearest) > apart:
+            if abs(number - nearest) > tolerance:
                 raise JobError(
                     f"{number:g} must be a whole number here", place=place, remedy="Correct it."
                 )
@@ -158,47 +159,49 @@ class FormulaReader:
             name = self.name()
             return lambda values: values.named(name, place)
         self._deeper()
-        which = self.whole()
+        number_formula = self.whole()
         self._nested -= 1
-        return lambda values: values.number(which(values), place)
+        return lambda values: values.number(number_formula(values), place)
 
     def _exists(self) -> Formula:
         self.take("[")
-        marked = self.take("#")
-        if marked and self.peek() != "<":
+        has_hash = self.take("#")
+        if has_hash and self.peek() != "<":
             self._deeper()
-            which = self.whole()
+            number_formula = self.whole()
             self._nested -= 1
-            found: Formula = lambda values: float(values.has_number(which(values)))  # noqa: E731
+            formula: Formula = lambda values: float(values.has_number(number_formula(values)))  # noqa: E731
         else:
-            bare = re.compile(r"[^\]<>#\[]+").match(self.text, self.at)
-            if marked or bare is None or self._flavour.subroutines:
-                name = self.name() if marked else self.refuse("EXISTS[#<name>] needs a name")
+            name_match = re.compile(r"[^\]<>#\[]+").match(self.text, self.at)
+            if has_hash or name_match is None or self._flavour.subroutines:
+                name = self.name() if has_hash else self.refuse("EXISTS[#<name>] needs a name")
             else:
-                name, self.at = bare[0], bare.end()  # FluidNC also takes a bare name
-            found = lambda values: float(values.exists(name, self._place))  # noqa: E731
+                name, self.at = name_match[0], name_match.end()  # FluidNC also takes a bare name
+            formula = lambda values: float(values.exists(name, self._place))  # noqa: E731
         if not self.take("]"):
             self.refuse("] is missing")
-        return found
+        return formula
 
     def _function(self, name: str) -> Formula:
         if name == "exists":
             return self._exists()
-        first, rounded, place = self.bracketed(), self._flavour.rounded, self._place
+        first_argument, rounded, place = self.bracketed(), self._flavour.rounded, self._place
         if name == "atan":
             if not self.take("/"):
                 self.refuse("ATAN needs two numbers", "Write ATAN[y]/[x].")
-            second = self.bracketed()
-            arc = _single_atan if self._flavour is FLUIDNC else _atan
-            return lambda values: rounded(arc(first(values), second(values)))
-        work = _FUNCTIONS[name]
+            second_argument = self.bracketed()
+            arctangent = _single_atan if self._flavour is FLUIDNC else _atan
+            return lambda values: rounded(
+                arctangent(first_argument(values), second_argument(values))
+            )
+        operation = _FUNCTIONS[name]
         if self._flavour is FLUIDNC:
-            work = _IN_SINGLE.get(name, work)
+            operation = _IN_SINGLE.get(name, operation)
 
         def function(values: Values) -> float:
-            number = first(values)
+            number = first_argument(values)
             try:
-                return _finite(rounded(work(number)))
+                return _finite(rounded(operation(number)))
             except (ValueError, OverflowError):
                 raise JobError(
                     f"{name.upper()}[{number:g}] has no value", place=place, remedy="Correct it."
@@ -206,19 +209,19 @@ class FormulaReader:
 
         return function
 
-    def _ranked(self, left: Formula, least: int) -> Formula:
-        """Read the operators of a rank above ``least`` and their right operands."""
-        while (found := _OPERATOR.match(self.text, self.at)) and _RANK[found[0]] > least:
-            self.at = found.end()
+    def _ranked(self, left: Formula, least_rank: int) -> Formula:
+        """Read the operators of a rank above ``least_rank`` and their right operands."""
+        while (match := _OPERATOR.match(self.text, self.at)) and _RANK[match[0]] > least_rank:
+            self.at = match.end()
             self._operators += 1
             if self._operators > MAX_OPERATORS:
                 self.refuse(f"more than {MAX_OPERATORS} operators in a line", "Write it in parts.")
-            rank = _RANK[found[0]]
-            left = self._joined(left, found[0], self._ranked(self.value(), rank))
+            rank = _RANK[match[0]]
+            left = self._joined(left, match[0], self._ranked(self.value(), rank))
         return left
 
     def _joined(self, left: Formula, operator: str, right: Formula) -> Formula:
-        work, place = _operators(self._flavour)[operator], self._place
+        operation, place = _operators(self._flavour)[operator], self._place
         flavour, rounded = self._flavour, self._flavour.rounded
         compares = operator in {"eq", "ne", "le", "ge"}
 
@@ -227,7 +230,7 @@ class FormulaReader:
             if compares and not values.doubtful and _in_doubt(operator, a, b, flavour):
                 values.doubtful = place.line
             try:
-                return _finite(rounded(work(a, b)))
+                return _finite(rounded(operation(a, b)))
             except (ValueError, OverflowError, ZeroDivisionError):
                 raise JobError(
                     f"{a:g} {operator.upper()} {b:g} has no value",
@@ -245,8 +248,8 @@ def _finite(value: float) -> float:
 
 
 def _modulo(a: float, b: float) -> float:
-    rest = math.fmod(a, b)
-    return rest + abs(b) if rest < 0.0 else rest
+    remainder = math.fmod(a, b)
+    return remainder + abs(b) if remainder < 0.0 else remainder
 
 
 _FUNCTIONS: dict[str, Callable[[float], float]] = {
@@ -292,7 +295,7 @@ _IN_SINGLE: dict[str, Callable[[float], float]] = {
 
 
 def _operators(flavour: Flavour) -> dict[str, Callable[[float, float], float]]:
-    alike = flavour.alike
+    tolerance = flavour.alike
     return {
         "**": math.pow,
         "*": lambda a, b: a * b,
@@ -300,8 +303,8 @@ def _operators(flavour: Flavour) -> dict[str, Callable[[float, float], float]]:
         "mod": _modulo,
         "+": lambda a, b: a + b,
         "-": lambda a, b: a - b,
-        "eq": lambda a, b: float(abs(a - b) < alike),
-        "ne": lambda a, b: float(abs(a - b) >= alike),
+        "eq": lambda a, b: float(abs(a - b) < tolerance),
+        "ne": lambda a, b: float(abs(a - b) >= tolerance),
         "lt": lambda a, b: float(a < b),
         "gt": lambda a, b: float(a > b),
         "le": lambda a, b: float(a <= b),
@@ -314,10 +317,12 @@ def _operators(flavour: Flavour) -> dict[str, Callable[[float, float], float]]:
 
 def _in_doubt(operator: str, a: float, b: float, flavour: Flavour) -> bool:
     """Say whether versions of the control compare these two numbers differently."""
-    later = flavour.alike_later
-    if later is None or a == b:
+    later_tolerance = flavour.alike_later
+    if later_tolerance is None or a == b:
         return False
-    apart = abs(a - b)
+    difference = abs(a - b)
     if operator in {"eq", "ne"}:
-        return later <= apart < flavour.alike
-    return apart < later and ((operator == "le" and a > b) or (operator == "ge" and a < b))
+        return later_tolerance <= difference < flavour.alike
+    return difference < later_tolerance and (
+        (operator == "le" and a > b) or (operator == "ge" and a < b)
+    )

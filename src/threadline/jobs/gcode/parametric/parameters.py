@@ -238,10 +238,10 @@ class Values:
                 place=at,
                 remedy="LinuxCNC refuses it, too.",
             )
-        own = range(1, ARGUMENTS + 1)
-        saved = {k: self._numbers[k] for k in own if k in self._numbers}
+        argument_numbers = range(1, ARGUMENTS + 1)
+        saved = {k: self._numbers[k] for k in argument_numbers if k in self._numbers}
         self._frames.append(_Frame({}, saved))
-        for k in own:
+        for k in argument_numbers:
             self._numbers[k] = arguments[k - 1] if k <= len(arguments) else 0.0
 
     def leave(self, returned: float | None) -> None:

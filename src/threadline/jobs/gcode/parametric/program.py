@@ -58,19 +58,19 @@ def text_of(file: SourceFile, reading: Reading, flavour: Flavour) -> Text:
     tapes = Tapes(file, reading.dialect.name if first_alone else "")
     codes: list[Code] = []
     lines = Lines(file, file.begin, 1)
-    begun = False
+    has_code = False
     while lines.more():
         number, _, text = lines.take()
         code = Code("", "")
         if text.strip() == TAPE:
-            tapes.take(number, begun)
+            tapes.take(number, has_code)
         else:
             tapes.pass_by(text)
-            here = Place(reading.file, number)
-            check_length(text, reading.dialect.grammar, reading.dialect.name, here)
+            place = Place(reading.file, number)
+            check_length(text, reading.dialect.grammar, reading.dialect.name, place)
             code = code_of(text, flavour, reading.file, number)
         if code.text:
-            begun = True
+            has_code = True
             if code.text[0] == "/":
                 refuse_switched(Place(reading.file, number))
             tapes.check(number)
@@ -78,10 +78,10 @@ def text_of(file: SourceFile, reading: Reading, flavour: Flavour) -> Text:
             if o is not None:
                 flow.take(o, number - 1)
         codes.append(code)
-    last = next((code.text for code in reversed(codes) if code.text), "")
-    ended = reading.dialect.name not in READ_TO_TAPE and _ENDS.search(last) is not None
-    tapes.finish(max(1, lines.number - 1), ended=ended)
-    if not begun:
+    last_code = next((code.text for code in reversed(codes) if code.text), "")
+    ends_program = reading.dialect.name not in READ_TO_TAPE and _ENDS.search(last_code) is not None
+    tapes.finish(max(1, lines.number - 1), ended=ends_program)
+    if not has_code:
         raise JobError(
             "the file holds no block", place=file.place(), remedy="Name a file with a program."
         )
@@ -154,13 +154,13 @@ class ParametricInterpreter(Modal):
         """
         codes = self._text.codes
         run = Run(codes, self._text.flow, self._flavour, self.values, self._reading.file)
-        last = 1
-        for raw, last in run.statements():
+        line = 1
+        for raw, line in run.statements():
             if not raw.words:
                 continue
-            block = block_of(raw, last, self._reading)
+            block = block_of(raw, line, self._reading)
             if block.ends in {"call", "return"} or block.label >= 0:
-                self._mixed(last)
+                self._mixed(line)
             if block.action == 40 or block.goes:
                 run.idle = 0
             yield block, self._step(block)
@@ -172,10 +172,10 @@ class ParametricInterpreter(Modal):
                 "the program has no end: the file may be truncated",
                 "Close it with M2 or M30.",
             )
-        end = Block(
-            last, -1, -1, (), (), None, None, 0, (), 0.0, 30, "end", None, False, (), -1, ()
+        end_block = Block(
+            line, -1, -1, (), (), None, None, 0, (), 0.0, 30, "end", None, False, (), -1, ()
         )
-        yield end, self._rest(Stop(True, Source(self._path, last)))
+        yield end_block, self._rest(Stop(True, Source(self._path, line)))
 
     def _mixed(self, line: int) -> NoReturn:
         raise self._error(
@@ -209,8 +209,8 @@ class ParametricInterpreter(Modal):
 
     def _place_of(self, index: int) -> float:
         """Return the present position of an axis in the units of the program."""
-        away = (self._exact[index] - self._zeros.offset[index]) / ONE
-        value = away * 10.0 / self._tenth_mm if self._linear[index] else away
+        from_zero = (self._exact[index] - self._zeros.offset[index]) / ONE
+        value = from_zero * 10.0 / self._tenth_mm if self._linear[index] else from_zero
         return self._flavour.rounded(value if math.isfinite(value) else 0.0)
 
 
@@ -256,34 +256,34 @@ def survey(
 
 def _run(program: ParametricProgram, systems: SystemsUsed, machine: Machine) -> Surveyed:
     file, findings = program.file, Findings()
-    moved: set[int] = set()
+    moved_axes: set[int] = set()
     budget = int(machine.tick_budget.si)
-    most = min(budget, MOST_OPERATIONS)
-    operations, moves, motion = 0, False, -1
+    limit = min(budget, MOST_OPERATIONS)
+    operation_count, has_moves, motion = 0, False, -1
     interpreter = ParametricInterpreter(program)
     lengths = ToolLengths(file, program.reading.lengths)
-    for block, made in interpreter.blocks():
+    for block, block_operations in interpreter.blocks():
         motion = block.motion if block.motion >= 0 else motion
         if block.feed is not None and block.axes and motion == 0 and not findings.rapid_f:
             findings.rapid_f = block.line
         findings.note(None, block)
-        moved.update(index for index, _ in block.axes)
+        moved_axes.update(index for index, _ in block.axes)
         systems.take(block.settings, block.line, moves=block.goes)
         lifts = moves_length(block, program.reading)
         lengths.take(block.length, block.settings, block.line, moves=lifts, later=False)
-        for operation in made:
-            moves = moves or isinstance(operation, Move)
-            operations += 1
-            if operations > most:
+        for operation in block_operations:
+            has_moves = has_moves or isinstance(operation, Move)
+            operation_count += 1
+            if operation_count > limit:
                 raise BudgetError(
-                    f"the program asks for more than {most} operations; the machine's tick budget "
+                    f"the program asks for more than {limit} operations; the machine's tick budget "
                     f"is {budget} and each counts as a tick at least, and a program with "
                     f"parameters may have {MOST_OPERATIONS}",
                     place=file.place(block.line),
                     remedy="Does a loop have no end? Lower its count, or raise tick_budget in the "
                     "machine file.",
                 )
-    if not moves:
+    if not has_moves:
         raise JobError(
             "the program moves nothing",
             place=file.place(),
@@ -292,4 +292,4 @@ def _run(program: ParametricProgram, systems: SystemsUsed, machine: Machine) -> 
     findings.length = lengths.line
     findings.unset = interpreter.values.unset
     findings.doubtful = interpreter.values.doubtful
-    return Surveyed(program, findings, sorted(moved))
+    return Surveyed(program, findings, sorted(moved_axes))

@@ -50,13 +50,17 @@ class Statement(NamedTuple):
             )
             for letter, expression in self.words
         ]
-        new = [
-            (one, one.number(values) if one.number is not None else 0, one.value(values))
-            for one in self.settings
+        new_values = [
+            (
+                setting,
+                setting.number(values) if setting.number is not None else 0,
+                setting.value(values),
+            )
+            for setting in self.settings
         ]
-        for one, number, value in new:
-            if one.number is None:
-                values.set_named(one.name, value, self.place)
+        for setting, number, value in new_values:
+            if setting.number is None:
+                values.set_named(setting.name, value, self.place)
             else:
                 values.set_number(number, value, self.place)
         return RawBlock(words, self.tags)
@@ -99,9 +103,9 @@ def statement(code: Code, flavour: Flavour, place: Place) -> Statement | None:
     if not code.text:
         return None
     reader = FormulaReader(code.text, flavour, place)
-    odd = _UNREAL.search(code.text)
-    if odd is not None:
-        reader.at = odd.start()
+    stray_character = _UNREAL.search(code.text)
+    if stray_character is not None:
+        reader.at = stray_character.start()
         reader.refuse("this is not part of this dialect")
     words: list[tuple[str, str | Formula]] = []
     settings: list[Setting] = []
@@ -144,9 +148,9 @@ def number_text(letter: str, value: float) -> str:
     >>> number_text("X", 0.1 + 0.2), number_text("G", 1.00000001), number_text("X", 1e-20)
     ('0.30000000000000004', '1', '0')
     """
-    scale, close = _WHOLE.get(letter, (1.0, 0.0))
+    scale, tolerance = _WHOLE.get(letter, (1.0, 0.0))
     nearest = math.floor(scale * value + 0.5)
-    if abs(scale * value - nearest) <= close:
+    if abs(scale * value - nearest) <= tolerance:
         value = nearest / scale
     text = format(Decimal(repr(value)), "f")
     if len(text.partition(".")[2]) > MAX_DECIMALS:

@@ -124,8 +124,8 @@ class Command(Locked):
 
 def shaped_command(move: RestToRest, shaper: Shaper) -> Command:
     """The unshaped bang-bang command of ``move`` convolved with ``shaper``."""
-    half = 0.5 * move.rigid_duration_s
-    times = np.add.outer(np.array([0.0, half, 2.0 * half]), shaper.times_s).ravel()
+    half_s = 0.5 * move.rigid_duration_s
+    times = np.add.outer(np.array([0.0, half_s, 2.0 * half_s]), shaper.times_s).ravel()
     steps = np.outer(np.array([1.0, -2.0, 1.0]), shaper.amplitudes).ravel()
     order = np.argsort(times, kind="stable")
     times, steps = times[order], steps[order]
@@ -185,11 +185,13 @@ def worst_of_each(
     command: Command, modes: Sequence[FlexibleMode], relative: PerMode
 ) -> list[float]:
     """Largest ringing of every mode over its frequency (1 +- ``relative``), on 201 points."""
-    found = []
-    for mode, half in zip(modes, per_mode(relative, modes), strict=True):
-        sweep = np.linspace(1.0 - half, 1.0 + half, 201) if half > 0.0 else np.ones(1)
-        found.append(float(ringing(command, mode.frequency_hz * sweep, mode.damping_ratio).max()))
-    return found
+    worsts = []
+    for mode, half_width in zip(modes, per_mode(relative, modes), strict=True):
+        sweep = (
+            np.linspace(1.0 - half_width, 1.0 + half_width, 201) if half_width > 0.0 else np.ones(1)
+        )
+        worsts.append(float(ringing(command, mode.frequency_hz * sweep, mode.damping_ratio).max()))
+    return worsts
 
 
 def worst_ringing(command: Command, modes: Sequence[FlexibleMode], relative: PerMode) -> float:
@@ -203,7 +205,10 @@ def rings_within(
     """Whether every mode rings at most as much as its own tolerance over its own band."""
     worst = worst_of_each(command, modes, relative)
     allowed = per_mode(tolerance, modes)
-    return all(found <= most for found, most in zip(worst, allowed, strict=True))
+    return all(
+        ringing_found <= most_allowed
+        for ringing_found, most_allowed in zip(worst, allowed, strict=True)
+    )
 
 
 def simulate(command: Command, mode: FlexibleMode, acceleration_m_s2: float) -> FloatArray:
@@ -240,11 +245,11 @@ def conditions(move: RestToRest) -> tuple[float, list[AtRest]]:
     """Return the approximate fastest time with every mode at rest, s, and the conditions."""
     rigid = move.rigid_duration_s
     poles = [pole(m.damping_ratio) * m.frequency_hz for m in move.modes]
-    reach = move.distance_m / move.acceleration_m_s2
+    reach_s2 = move.distance_m / move.acceleration_m_s2
     # A slow mode requires an integral of u v^3 of 6 L / (a |s|^2), more than the rigid move has.
     # The best bang-bang command of a duration T reaches at most T^4 / 64.
     slow = [s for s in poles if abs(s) * rigid < _SERIES_BELOW]
-    scale = max([rigid, *(float(384.0 * reach / abs(s) ** 2) ** 0.25 for s in slow)])
+    scale = max([rigid, *(float(384.0 * reach_s2 / abs(s) ** 2) ** 0.25 for s in slow)])
     return scale, [AtRest(s, scale, s in slow) for s in poles]
 
 
@@ -286,13 +291,16 @@ class AtRest:
         s, scale = self.pole_1_s, self.scale_s
         if not self.slow:
             # For a mode about as fast as the move the ringing itself, -s e^(s v), is independent.
-            grown = -(s ** (3 - order)) * np.exp(s * v) - (0.0 if order < 3 else -1.0)
-            return np.array([grown.real, grown.imag])
-        rest = v**order * _phi(s * v, order)
-        third = rest.imag / s.imag
-        line = v ** (order - 1) / factorial(order - 1)
+            decayed = -(s ** (3 - order)) * np.exp(s * v) - (0.0 if order < 3 else -1.0)
+            return np.array([decayed.real, decayed.imag])
+        remainder = v**order * _phi(s * v, order)
+        condition = remainder.imag / s.imag
+        power = v ** (order - 1) / factorial(order - 1)
         return np.array(
-            [(line - abs(s) ** 2 * third) / scale**2, (rest.real + s.real * third) / scale**3]
+            [
+                (power - abs(s) ** 2 * condition) / scale**2,
+                (remainder.real + s.real * condition) / scale**3,
+            ]
         )
 
 
@@ -300,8 +308,8 @@ def _phi(argument: NDArray[np.complexfloating[Any, Any]], order: int) -> NDArray
     """(e^z - 1 - z ... - z^(k-1) / (k-1)!) / z^k for k = ``order``, without cancellation."""
     z = np.asarray(argument, dtype=np.complex128)
     coefficients = [1.0 / factorial(order + k) for k in reversed(range(_TERMS))]
-    small = np.abs(z) <= _SERIES_BELOW
-    near = np.polyval(coefficients, np.where(small, z, 0.0))
-    safe = np.where(small, 1.0, z)
-    left = np.exp(safe) - sum(safe**k / factorial(k) for k in range(order))
-    return np.where(small, near, left / safe**order)
+    is_small = np.abs(z) <= _SERIES_BELOW
+    series_value = np.polyval(coefficients, np.where(is_small, z, 0.0))
+    large_z = np.where(is_small, 1.0, z)
+    difference = np.exp(large_z) - sum(large_z**k / factorial(k) for k in range(order))
+    return np.where(is_small, series_value, difference / large_z**order)

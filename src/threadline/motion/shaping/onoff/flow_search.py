@@ -53,8 +53,8 @@ _ROWS = 11  # frequencies of a band in a program; all of them are checked afterw
 
 def shortest_flow_command(move: FlowMove, least: int, most_scans: int) -> FlowCommand | None:
     """Return the shortest command of at least ``least`` scans that is found."""
-    found = (flow_command(move, scans) for scans in range(least, most_scans + 1))
-    return next((command for command in found if command is not None), None)
+    commands = (flow_command(move, scans) for scans in range(least, most_scans + 1))
+    return next((command for command in commands if command is not None), None)
 
 
 def flow_command(move: FlowMove, scans: int, seed: int = 0) -> FlowCommand | None:
@@ -65,69 +65,83 @@ def flow_command(move: FlowMove, scans: int, seed: int = 0) -> FlowCommand | Non
     if scans < move.dwell_scans:
         return None
     search, rng = _Search(move, scans), np.random.default_rng(seed)
-    free = _free_levels(move, scans)
-    kept: dict[Edges, float] = {}
+    free_levels = _free_levels(move, scans)
+    kept_costs: dict[Edges, float] = {}
     for start in range(_STARTS):
-        if any(start == after and min(kept.values()) > most for after, most in _HOPELESS):
+        if any(
+            start == start_count and min(kept_costs.values()) > cost_limit
+            for start_count, cost_limit in _HOPELESS
+        ):
             return None
-        if not kept or rng.random() < _FRESH:
-            begin = _rounded(move, free, _NOISE * rng.random() if start else 0.0, rng)
+        if not kept_costs or rng.random() < _FRESH:
+            start_edges = _rounded(move, free_levels, _NOISE * rng.random() if start else 0.0, rng)
         else:
-            ranked = list(kept)
-            begin = search.shifted(ranked[min(int(rng.exponential(2.0)), len(ranked) - 1)], rng)
-        if not search.fits(begin):
+            ranked_edges = list(kept_costs)
+            start_edges = search.shifted(
+                ranked_edges[min(int(rng.exponential(2.0)), len(ranked_edges) - 1)], rng
+            )
+        if not search.fits(start_edges):
             continue
-        edges, value = search.improved(begin)
+        edges, value = search.improved(start_edges)
         command = search.command(edges)
         if value < 1.1 and search.within(command):
             return command
-        kept[edges] = value
-        kept = dict(sorted(kept.items(), key=lambda pair: pair[1])[:_KEPT])
+        kept_costs[edges] = value
+        kept_costs = dict(sorted(kept_costs.items(), key=lambda pair: pair[1])[:_KEPT])
     return None
 
 
 def _free_levels(move: FlowMove, scans: int) -> FloatArray:
     """Return the level of each scan that rings least with levels free in [0, 1], (scans,)."""
-    seen, around = move.seen(), around_a_circle()
-    grown = np.exp(np.log(move.turns[seen])[:, None] * np.arange(scans, -1.0, -1.0))
-    ring = (grown[:, :-1] - grown[:, 1:]) / move.most[seen, None]
-    rows = (ring[None] * around[:, None, None]).real.reshape(-1, scans)
-    found = solved(
+    sampled, directions = move.seen(), around_a_circle()
+    step_ringing = np.exp(np.log(move.turns[sampled])[:, None] * np.arange(scans, -1.0, -1.0))
+    level_ringing = (step_ringing[:, :-1] - step_ringing[:, 1:]) / move.most[sampled, None]
+    rows = (level_ringing[None] * directions[:, None, None]).real.reshape(-1, scans)
+    solution = solved(
         np.append(np.zeros(scans), 1.0),
         below=(np.hstack((rows, -np.ones((len(rows), 1)))), np.zeros(len(rows))),
         equal=(np.append(np.ones(scans), 0.0)[None], [min(move.on_scans, float(scans))]),
         bounds=[(0.0, 1.0)] * scans + [(0.0, None)],
     )
-    levels: FloatArray = np.zeros(scans) if found.x is None else np.clip(found.x[:scans], 0.0, 1.0)
+    levels: FloatArray = (
+        np.zeros(scans) if solution.x is None else np.clip(solution.x[:scans], 0.0, 1.0)
+    )
     return levels
 
 
-def _rounded(move: FlowMove, free: FloatArray, noise: float, rng: np.random.Generator) -> Edges:
+def _rounded(
+    move: FlowMove, free_levels: FloatArray, noise: float, rng: np.random.Generator
+) -> Edges:
     """Return switchings whose distance follows the free levels one dwell ahead of each scan."""
-    flows, dwell, scans = np.asarray(move.valves.flows), move.dwell_scans, len(free)
+    flows, dwell, scans = np.asarray(move.valves.flows), move.dwell_scans, len(free_levels)
     sets = np.array(list(product((0, 1), repeat=len(flows))))
-    ahead = np.concatenate((np.cumsum(free), np.full(dwell, free.sum())))
-    before = np.concatenate(([0.0], ahead))
-    opened = np.zeros(len(flows), dtype=np.int64)
-    since = np.full(len(flows), dwell)
+    distance_ahead = np.concatenate((np.cumsum(free_levels), np.full(dwell, free_levels.sum())))
+    distance_before = np.concatenate(([0.0], distance_ahead))
+    open_flows = np.zeros(len(flows), dtype=np.int64)
+    scans_since = np.full(len(flows), dwell)
     edges: list[list[int]] = [[] for _ in flows]
-    behind = 0.0
+    distance_behind = 0.0
     for scan in range(scans):
-        look = min(dwell, scans - scan)
-        changes = sets != opened
-        may = ~(changes & (since < dwell)).any(axis=1)
-        if look < dwell:
-            may &= ~((sets == 1) & changes).any(axis=1)
-        error = behind + before[scan + look] - before[scan] - look * (sets @ flows)
-        price = np.abs(error) + noise * dwell * rng.random(len(sets)) + _CHANGE * changes.sum(1)
-        chosen = int(np.argmin(np.where(may, price, np.inf)))
-        for flow in np.flatnonzero(changes[chosen]):
+        look_ahead = min(dwell, scans - scan)
+        changes = sets != open_flows
+        allowed = ~(changes & (scans_since < dwell)).any(axis=1)
+        if look_ahead < dwell:
+            allowed &= ~((sets == 1) & changes).any(axis=1)
+        error = (
+            distance_behind
+            + distance_before[scan + look_ahead]
+            - distance_before[scan]
+            - look_ahead * (sets @ flows)
+        )
+        cost = np.abs(error) + noise * dwell * rng.random(len(sets)) + _CHANGE * changes.sum(1)
+        chosen_set = int(np.argmin(np.where(allowed, cost, np.inf)))
+        for flow in np.flatnonzero(changes[chosen_set]):
             edges[flow].append(scan)
-            since[flow] = 0
-        opened = sets[chosen]
-        since += 1
-        behind += float(free[scan] - opened @ flows)
-    for flow in np.flatnonzero(opened):
+            scans_since[flow] = 0
+        open_flows = sets[chosen_set]
+        scans_since += 1
+        distance_behind += float(free_levels[scan] - open_flows @ flows)
+    for flow in np.flatnonzero(open_flows):
         edges[flow].append(scans)
     return tuple(tuple(of_flow) for of_flow in edges)
 
@@ -137,12 +151,12 @@ class _Search:
 
     def __init__(self, move: FlowMove, scans: int) -> None:
         self._move, self._scans = move, scans
-        valves, seen = move.valves, move.seen()
-        rates = np.log(move.turns[seen])[None, :]
+        valves, sampled = move.valves, move.seen()
+        rates = np.log(move.turns[sampled])[None, :]
         to_go = scans - np.arange(scans + 1.0)[:, None]
         # Ringing of a step of level 1 at each scan, in units of the limit, (scans + 1, K).
-        self._opening = np.exp(rates * (to_go - valves.opens)) / move.most[seen]
-        self._closing = np.exp(rates * (to_go - valves.closes)) / move.most[seen]
+        self._opening = np.exp(rates * (to_go - valves.opens)) / move.most[sampled]
+        self._closing = np.exp(rates * (to_go - valves.closes)) / move.most[sampled]
 
     def fits(self, edges: Edges) -> bool:
         """Return whether the flow controls can make these switchings."""
@@ -152,14 +166,16 @@ class _Search:
 
     def shifted(self, edges: Edges, rng: np.random.Generator) -> Edges:
         """Return a copy with a few switchings at other scans."""
-        every = [(flow, k) for flow, of_flow in enumerate(edges) for k in range(len(of_flow))]
-        moved = [list(of_flow) for of_flow in edges]
-        count = min(len(every), int(rng.integers(2, 6)))
-        for chosen in rng.choice(len(every), size=count, replace=False):
-            flow, k = every[chosen]
-            to = moved[flow][k] + int(rng.integers(-_HOP, _HOP + 1))
-            moved[flow][k] = min(max(to, 0), self._scans)
-        return tuple(tuple(of_flow) for of_flow in moved)
+        all_switchings = [
+            (flow, k) for flow, of_flow in enumerate(edges) for k in range(len(of_flow))
+        ]
+        new_edges = [list(of_flow) for of_flow in edges]
+        count = min(len(all_switchings), int(rng.integers(2, 6)))
+        for index in rng.choice(len(all_switchings), size=count, replace=False):
+            flow, k = all_switchings[index]
+            scan = new_edges[flow][k] + int(rng.integers(-_HOP, _HOP + 1))
+            new_edges[flow][k] = min(max(scan, 0), self._scans)
+        return tuple(tuple(of_flow) for of_flow in new_edges)
 
     def command(self, edges: Edges) -> FlowCommand:
         """Return the levels that these switchings make; the first scan is scan 0."""
@@ -168,8 +184,8 @@ class _Search:
             for a, b in zip(of_flow[::2], of_flow[1::2], strict=True):
                 levels[a:b] += flow
         changes = np.flatnonzero(np.abs(np.diff(levels, prepend=0.0, append=0.0)) > 1e-9)
-        kept = np.append(levels, 0.0)[changes]
-        return FlowCommand(tuple((changes - changes[0]).tolist()), tuple(kept.tolist()))
+        kept_levels = np.append(levels, 0.0)[changes]
+        return FlowCommand(tuple((changes - changes[0]).tolist()), tuple(kept_levels.tolist()))
 
     def within(self, command: FlowCommand) -> bool:
         """Return whether valves make a command, it covers the distance, and rings little enough.
@@ -180,17 +196,19 @@ class _Search:
         move = self._move
         covered = move.valves.covered(command.ticks, command.levels)
         far_enough = -SHORT - 1e-9 <= covered - move.on_scans <= OVER + 1e-9
-        dwells = move.valves.apart(command.ticks, command.levels) >= move.dwell_scans
-        return far_enough and dwells and move.quiet(command)
+        keeps_dwell = move.valves.apart(command.ticks, command.levels) >= move.dwell_scans
+        return far_enough and keeps_dwell and move.quiet(command)
 
     def _cost(self, ringing: ComplexArray, covered: FloatArray) -> FloatArray:
-        size = np.abs(ringing)
-        mean_square: FloatArray = np.mean(size**2, axis=-1)
-        beyond = covered - self._move.on_scans
-        off = np.maximum(np.maximum(-SHORT - beyond, beyond - OVER), 0.0)
-        found: FloatArray = size.max(axis=-1) + _MEAN_WEIGHT * np.sqrt(mean_square) + off
+        magnitude = np.abs(ringing)
+        mean_square: FloatArray = np.mean(magnitude**2, axis=-1)
+        excess_scans = covered - self._move.on_scans
+        distance_error = np.maximum(np.maximum(-SHORT - excess_scans, excess_scans - OVER), 0.0)
+        cost: FloatArray = (
+            magnitude.max(axis=-1) + _MEAN_WEIGHT * np.sqrt(mean_square) + distance_error
+        )
         # Mirrored shifts cost the same: rounding, not the processor, decides that they are equal.
-        return np.round(found, 9)
+        return np.round(cost, 9)
 
     def improved(self, edges: Edges) -> tuple[Edges, float]:
         """Apply the best shift of one switching or two until none is better.
@@ -202,60 +220,86 @@ class _Search:
             they miss the distance.
         """
         valves, dwell = self._move.valves, self._move.dwell_scans
-        at = np.array([scan for of_flow in edges for scan in of_flow], dtype=np.int64)
+        scans_at = np.array([scan for of_flow in edges for scan in of_flow], dtype=np.int64)
         flow = np.repeat(np.arange(len(edges)), [len(of_flow) for of_flow in edges])
         opens = np.concatenate([np.arange(len(of_flow)) % 2 == 0 for of_flow in edges])
-        height = np.asarray(valves.flows)[flow] * np.where(opens, 1.0, -1.0)
-        shut = float(np.sum(-height[~opens])) * valves.longer
-        first = np.flatnonzero(np.append(False, flow[1:] != flow[:-1]) | (np.arange(len(at)) == 0))
-        last = np.append(first[1:], len(at)) - 1
-        left = np.setdiff1d(np.arange(len(at)), last)  # switchings with a next one
-        count = 2 * len(at)
-        pairs = np.repeat(np.arange(len(at)), 2)[:, None] != np.repeat(np.arange(len(at)), 2)
+        heights = np.asarray(valves.flows)[flow] * np.where(opens, 1.0, -1.0)
+        closing_distance = float(np.sum(-heights[~opens])) * valves.longer
+        first_switching = np.flatnonzero(
+            np.append(False, flow[1:] != flow[:-1]) | (np.arange(len(scans_at)) == 0)
+        )
+        last_switching = np.append(first_switching[1:], len(scans_at)) - 1
+        # Switchings with a next one.
+        with_next = np.setdiff1d(np.arange(len(scans_at)), last_switching)
+        count = 2 * len(scans_at)
+        pairs = np.repeat(np.arange(len(scans_at)), 2)[:, None] != np.repeat(
+            np.arange(len(scans_at)), 2
+        )
 
-        def rings(scans: IntArray) -> ComplexArray:
-            each = np.where(opens[:, None, None], self._opening[scans], self._closing[scans])
-            turned: ComplexArray = each * height[:, None, None]
-            return turned
+        def ringing_of(scans: IntArray) -> ComplexArray:
+            step_ringing = np.where(
+                opens[:, None, None], self._opening[scans], self._closing[scans]
+            )
+            scaled_ringing: ComplexArray = step_ringing * heights[:, None, None]
+            return scaled_ringing
 
-        ringing, covered = rings(at[:, None]).sum(axis=(0, 1)), shut - float(height @ at)
+        ringing, covered = (
+            ringing_of(scans_at[:, None]).sum(axis=(0, 1)),
+            closing_distance - float(heights @ scans_at),
+        )
         value = float(self._cost(ringing, np.array(covered)))
         for _ in range(_STEPS):
-            to = at[:, None] + _BY_ONE
-            above = np.full((len(at), 2), True)
-            below = (to >= 0) & (to <= self._scans)
-            above[left] = to[left] <= at[left + 1, None] - dwell
-            inside = below.copy()
-            below[left + 1] &= to[left + 1] >= at[left, None] + dwell
-            single = (above & below).reshape(-1)
-            gain = (rings(np.clip(to, 0, self._scans)) - rings(at[:, None])).reshape(count, -1)
-            way = -np.repeat(height, 2) * np.tile(_BY_ONE, len(at))
-            may: NDArray[np.bool_] = single[:, None] & single & pairs
-            # Two neighbours that are shifted at once keep their distance from each other's place.
-            near = to[left + 1, None, :] - to[left, :, None] >= dwell
-            near &= (below[left] & inside[left])[:, :, None]
-            near &= (above[left + 1] & inside[left + 1])[:, None, :]
-            rows = 2 * left[:, None, None] + np.arange(2)[None, :, None]
-            columns = 2 * (left + 1)[:, None, None] + np.arange(2)[None, None, :]
-            may[rows, columns] = near
-            may[columns, rows] = near
-            ones = self._cost(ringing + gain, covered + way)
-            twos = self._cost(
-                ringing + gain[:, None] + gain[None], covered + way[:, None] + way[None]
+            shifted_scans = scans_at[:, None] + _BY_ONE
+            before_next = np.full((len(scans_at), 2), True)
+            after_previous = (shifted_scans >= 0) & (shifted_scans <= self._scans)
+            before_next[with_next] = (
+                shifted_scans[with_next] <= scans_at[with_next + 1, None] - dwell
             )
-            ones[~single] = np.inf
-            twos[~may] = np.inf
-            one, two = int(np.argmin(ones)), divmod(int(np.argmin(twos)), count)
-            better = float(min(ones[one], twos[two]))
-            if not better < value * (1.0 - 1e-9):
+            within_command = after_previous.copy()
+            after_previous[with_next + 1] &= (
+                shifted_scans[with_next + 1] >= scans_at[with_next, None] + dwell
+            )
+            single_allowed = (before_next & after_previous).reshape(-1)
+            ringing_change = (
+                ringing_of(np.clip(shifted_scans, 0, self._scans)) - ringing_of(scans_at[:, None])
+            ).reshape(count, -1)
+            distance_change = -np.repeat(heights, 2) * np.tile(_BY_ONE, len(scans_at))
+            pair_allowed: NDArray[np.bool_] = single_allowed[:, None] & single_allowed & pairs
+            # Two neighbours that are shifted at once keep their distance from each other's place.
+            neighbours_apart = (
+                shifted_scans[with_next + 1, None, :] - shifted_scans[with_next, :, None] >= dwell
+            )
+            neighbours_apart &= (after_previous[with_next] & within_command[with_next])[:, :, None]
+            neighbours_apart &= (before_next[with_next + 1] & within_command[with_next + 1])[
+                :, None, :
+            ]
+            rows = 2 * with_next[:, None, None] + np.arange(2)[None, :, None]
+            columns = 2 * (with_next + 1)[:, None, None] + np.arange(2)[None, None, :]
+            pair_allowed[rows, columns] = neighbours_apart
+            pair_allowed[columns, rows] = neighbours_apart
+            single_costs = self._cost(ringing + ringing_change, covered + distance_change)
+            pair_costs = self._cost(
+                ringing + ringing_change[:, None] + ringing_change[None],
+                covered + distance_change[:, None] + distance_change[None],
+            )
+            single_costs[~single_allowed] = np.inf
+            pair_costs[~pair_allowed] = np.inf
+            best_single, best_pair = (
+                int(np.argmin(single_costs)),
+                divmod(int(np.argmin(pair_costs)), count),
+            )
+            best_cost = float(min(single_costs[best_single], pair_costs[best_pair]))
+            if not best_cost < value * (1.0 - 1e-9):
                 break
-            for chosen in (one,) if ones[one] <= twos[two] else two:
-                at[chosen // 2] += _BY_ONE[chosen % 2]
-                ringing, covered = ringing + gain[chosen], covered + way[chosen]
-            value = better
-        found = tuple(tuple(at[flow == k].tolist()) for k in range(len(edges)))
-        off = float(self._cost(0.0 * ringing, np.array(covered)))
-        return found, float(np.abs(ringing).max()) + off
+            for shift in (
+                (best_single,) if single_costs[best_single] <= pair_costs[best_pair] else best_pair
+            ):
+                scans_at[shift // 2] += _BY_ONE[shift % 2]
+                ringing, covered = ringing + ringing_change[shift], covered + distance_change[shift]
+            value = best_cost
+        edges_found = tuple(tuple(scans_at[flow == k].tolist()) for k in range(len(edges)))
+        distance_error = float(self._cost(0.0 * ringing, np.array(covered)))
+        return edges_found, float(np.abs(ringing).max()) + distance_error
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -284,10 +328,10 @@ class FlowMove:
 
     def left(self, ticks: tuple[int, ...], levels: tuple[float, ...]) -> NDArray[np.complex128]:
         """Return the (K,) ringing of each frequency at a command's last switching."""
-        at, heights = self.valves.switchings(ticks, levels)
+        instants, heights = self.valves.switchings(ticks, levels)
         rates = np.log(self.turns).astype(np.complex128)
-        left: NDArray[np.complex128] = np.exp(np.outer(rates, ticks[-1] - at)) @ heights
-        return left
+        ringing: NDArray[np.complex128] = np.exp(np.outer(rates, ticks[-1] - instants)) @ heights
+        return ringing
 
     def quiet(self, command: FlowCommand) -> bool:
         """Return whether a command rings at most ``most`` at every frequency."""
@@ -314,8 +358,8 @@ class FlowCommand:
 
 def around_a_circle() -> NDArray[np.complex128]:
     """Return unit vectors to the sides of the polygon that replaces a circle of ringing."""
-    turned: NDArray[np.complex128] = np.exp(2j * np.pi * np.arange(_DIRECTIONS) / _DIRECTIONS)
-    return turned
+    directions: NDArray[np.complex128] = np.exp(2j * np.pi * np.arange(_DIRECTIONS) / _DIRECTIONS)
+    return directions
 
 
 def least_scans(move: FlowMove, most_scans: int, known_scans: int = 1) -> int | None:
@@ -324,23 +368,23 @@ def least_scans(move: FlowMove, most_scans: int, known_scans: int = 1) -> int | 
     It is a lower bound for all valves: the circle of permitted ringing is replaced by a polygon
     around it, and the band by some of its frequencies. None if even ``most_scans`` do not suffice.
     """
-    around = around_a_circle()
-    seen, longer = move.seen(), move.valves.longer
+    directions = around_a_circle()
+    sampled, longer = move.seen(), move.valves.longer
     least = max(math.ceil(move.on_scans - longer - SHORT), known_scans)
     for scans in range(least, most_scans + 1):
         # The flow lasts longer than the command by this, and need not begin with a scan.
         cells = scans if longer == 0.0 else math.ceil(_FINER * (scans + longer))
         to_go = np.linspace(scans + longer, 0.0, cells + 1)
-        grown = np.exp(np.log(move.turns[seen])[:, None] * to_go)
-        ring = (grown[:, :-1] - grown[:, 1:]) / move.most[seen, None]
-        rows = (ring[None] * around[:, None, None]).real.reshape(-1, cells)
+        step_ringing = np.exp(np.log(move.turns[sampled])[:, None] * to_go)
+        level_ringing = (step_ringing[:, :-1] - step_ringing[:, 1:]) / move.most[sampled, None]
+        rows = (level_ringing[None] * directions[:, None, None]).real.reshape(-1, cells)
         distance = -np.diff(to_go)[None, :]
-        within = [*np.ones(len(rows)), move.on_scans + OVER, SHORT - move.on_scans]
-        found = solved(
+        upper_bounds = [*np.ones(len(rows)), move.on_scans + OVER, SHORT - move.on_scans]
+        solution = solved(
             np.zeros(cells),
-            below=(np.vstack((rows, distance, -distance)), within),
+            below=(np.vstack((rows, distance, -distance)), upper_bounds),
             bounds=(0.0, 1.0),
         )
-        if found.status == 0:
+        if solution.status == 0:
             return scans
     return None

@@ -71,8 +71,8 @@ def time_optimal(move: RestToRest) -> TimeOptimal:
         end = simulate(command, mode, move.acceleration_m_s2)
         error = np.abs(end - np.array([move.distance_m, 0.0, 0.0]))
         # A slow mode makes the machine overshoot and return: distances are rounded by that.
-        far_m = move.acceleration_m_s2 * conditions(move)[0] ** 2
-        if error.max() > _PROOF_TOLERANCE + _ROUNDING * far_m:
+        reach_m = move.acceleration_m_s2 * conditions(move)[0] ** 2
+        if error.max() > _PROOF_TOLERANCE + _ROUNDING * reach_m:
             raise ShaperError(
                 f"time-optimal move: the simulation ends {error[0]:.1e} m, {error[1]:.1e} m/s "
                 f"and {error[2]:.1e} of a step away from rest at {mode.frequency_hz:g} Hz"
@@ -84,16 +84,16 @@ def _farthest(move: RestToRest, duration: float) -> tuple[float, FloatArray]:
     """Largest distance within ``duration`` with every mode at rest, and the program's duals."""
     edges = np.linspace(0.0, duration, _INTERVALS + 1)
     speed, distance = travel_rows(edges)
-    rest = [speed / duration]
+    rest_rows = [speed / duration]
     for at_rest in conditions(move)[1]:
-        rest += list(np.diff(at_rest.integral(edges - duration)))
-    solved = minimise(
+        rest_rows += list(np.diff(at_rest.integral(edges - duration)))
+    solution = minimise(
         -distance / duration**2,
-        equal=(np.array(rest), np.zeros(len(rest))),
+        equal=(np.array(rest_rows), np.zeros(len(rest_rows))),
         bounds=(-1.0, 1.0),
         what="time-optimal move",
     )
-    return -solved.value * duration**2 * move.acceleration_m_s2, solved.duals
+    return -solution.value * duration**2 * move.acceleration_m_s2, solution.duals
 
 
 class _Costate:
@@ -123,14 +123,14 @@ class _Costate:
     def switches(self, weights: FloatArray, duration: float) -> tuple[FloatArray, float]:
         """Roots as times from the start, (n,), and the sign before the first."""
 
-        def at(before_end: float) -> float:
+        def value_at(before_end: float) -> float:
             return float(self.value(weights, np.array([before_end]))[0])
 
         grid = np.linspace(-duration, 0.0, _PROOF_SAMPLES + 1)
         value = self.value(weights, grid)
         positive = value > 0.0
         roots = [
-            crossing(at, float(grid[i]), float(grid[i + 1]), xtol=1e-15)
+            crossing(value_at, float(grid[i]), float(grid[i + 1]), xtol=1e-15)
             for i in np.flatnonzero(positive[:-1] != positive[1:])
         ]
         return np.array(roots) + duration, 1.0 if value[0] > 0.0 else -1.0
@@ -142,8 +142,8 @@ def _polish(move: RestToRest, costate: _Costate, duration: float) -> tuple[Comma
 
     def command_of(x: FloatArray) -> Command:
         end = float(x[-1]) * scale
-        times, first = costate.switches(x[:-1], end)
-        levels = first * np.where(np.arange(len(times) + 1) % 2 == 0, 1.0, -1.0)
+        times, first_sign = costate.switches(x[:-1], end)
+        levels = first_sign * np.where(np.arange(len(times) + 1) % 2 == 0, 1.0, -1.0)
         return Command(np.concatenate(([0.0], times, [end])), levels)
 
     def system(x: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -153,8 +153,8 @@ def _polish(move: RestToRest, costate: _Costate, duration: float) -> tuple[Comma
         _, weighted = costate.parts(inner, 0)
         slope = costate.value(x[:-1], inner, 1)
         # A root moves against its weight's part, and with the end.
-        moved = np.hstack((-(weighted / slope).T, np.full((len(inner), 1), scale)))
-        jacobian = by_times[:, :-1] @ moved
+        root_motion = np.hstack((-(weighted / slope).T, np.full((len(inner), 1), scale)))
+        jacobian = by_times[:, :-1] @ root_motion
         jacobian[:, -1] += by_times[:, -1] * scale
         return residuals, jacobian
 
@@ -192,9 +192,9 @@ def _end_conditions(move: RestToRest, command: Command) -> tuple[FloatArray, Flo
 
 def _certificate(costate: _Costate, weights: FloatArray, command: Command) -> float:
     """Check the sign of the switching function against the command between all its edges."""
-    inside = (np.arange(_PROOF_SAMPLES) + 0.5) / _PROOF_SAMPLES
+    cell_shares = (np.arange(_PROOF_SAMPLES) + 0.5) / _PROOF_SAMPLES
     edges = command.times_s
-    samples = (edges[:-1, None] + np.diff(edges)[:, None] * inside).ravel()
+    samples = (edges[:-1, None] + np.diff(edges)[:, None] * cell_shares).ravel()
     signs = np.repeat(command.levels, _PROOF_SAMPLES)
     agreement = signs * costate.value(weights, samples - edges[-1])
     certificate = float(agreement.min() / agreement.max())

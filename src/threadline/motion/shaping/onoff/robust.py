@@ -47,48 +47,52 @@ class _Band:
 
     def __init__(self, move: RestToRest, relative: PerMode, tolerance: PerMode) -> None:
         self._move, self._relative = move, per_mode(relative, move.modes)
-        for half in self._relative:
-            if not 0.0 <= half < 1.0:
-                raise OptionError(f"robust move: the band must be in [0, 1), got {half!r}")
+        for half_width in self._relative:
+            if not 0.0 <= half_width < 1.0:
+                raise OptionError(f"robust move: the band must be in [0, 1), got {half_width!r}")
         allowed = per_mode(tolerance, move.modes)
-        self._share = [one / max(allowed) for one in allowed]
+        self._share = [mode_tolerance / max(allowed) for mode_tolerance in allowed]
         phases = np.arange(4) * 0.5 * np.pi
         self._cuts = []
-        for i, half in enumerate(self._relative):
-            start = np.linspace(1.0 - half, 1.0 + half, 7) if half else np.ones(1)
-            self._cuts += [(i, float(r), float(p)) for r in start for p in phases]
+        for i, half_width in enumerate(self._relative):
+            first_ratios = (
+                np.linspace(1.0 - half_width, 1.0 + half_width, 7) if half_width else np.ones(1)
+            )
+            self._cuts += [(i, float(r), float(p)) for r in first_ratios for p in phases]
 
     def rows(self, edges: FloatArray) -> FloatArray:
         """One row per cut, shape ``(cuts, n)``."""
         table = np.empty((len(self._cuts), len(edges) - 1))
         for i, mode in enumerate(self._move.modes):
-            mine = [k for k, cut in enumerate(self._cuts) if cut[0] == i]
-            ratio = np.array([self._cuts[k][1] for k in mine])
-            phase = np.array([self._cuts[k][2] for k in mine])
+            mode_cuts = [k for k, cut in enumerate(self._cuts) if cut[0] == i]
+            ratio = np.array([self._cuts[k][1] for k in mode_cuts])
+            phase = np.array([self._cuts[k][2] for k in mode_cuts])
             complex_rows = ringing_rows(edges, mode.frequency_hz * ratio, mode.damping_ratio)
-            turned = (complex_rows * np.exp(-1j * phase)[:, None]).real
-            table[mine] = turned / self._share[i]
+            turned_rows = (complex_rows * np.exp(-1j * phase)[:, None]).real
+            table[mode_cuts] = turned_rows / self._share[i]
         return table
 
     def worst(self, command: Command) -> float:
         """Return the worst ringing over the bands, scaled to the largest tolerance."""
-        found = worst_of_each(command, self._move.modes, self._relative)
-        return max(one / share for one, share in zip(found, self._share, strict=True))
+        worsts = worst_of_each(command, self._move.modes, self._relative)
+        return max(
+            worst_of_mode / share for worst_of_mode, share in zip(worsts, self._share, strict=True)
+        )
 
     def cut(self, command: Command, tolerance: float) -> bool:
         """Add the half planes that ``command`` violates; False if it violates none."""
-        found = False
+        violated = False
         for i, mode in enumerate(self._move.modes):
             sweep = np.linspace(1.0 - self._relative[i], 1.0 + self._relative[i], _SWEEP)
             rows = ringing_rows(command.times_s, mode.frequency_hz * sweep, mode.damping_ratio)
             value = rows @ command.levels
             height = np.abs(value) / self._share[i]
             padded = np.concatenate(([-1.0], height, [-1.0]))
-            top = (height >= padded[:-2]) & (height >= padded[2:])
-            for k in np.flatnonzero(top & (height > tolerance * (1.0 + _ACCURACY) + 1e-12)):
+            is_maximum = (height >= padded[:-2]) & (height >= padded[2:])
+            for k in np.flatnonzero(is_maximum & (height > tolerance * (1.0 + _ACCURACY) + 1e-12)):
                 self._cuts.append((i, float(sweep[k]), float(np.angle(value[k]))))
-                found = True
-        return found
+                violated = True
+        return violated
 
 
 def farthest(
@@ -99,7 +103,7 @@ def farthest(
     speed, distance = travel_rows(edges)
     for _ in range(_ROUNDS):
         rows = band.rows(edges)
-        solved = minimise(
+        solution = minimise(
             -distance / duration_s**2,
             equal=(speed[None, :] / duration_s, np.zeros(1)),
             # In units of the tolerance: the solver keeps a row to 1e-7, and would ignore one of
@@ -108,9 +112,9 @@ def farthest(
             bounds=(-1.0, 1.0),
             what="robust move",
         )
-        command = Command(edges, solved.x)
+        command = Command(edges, solution.x)
         if not band.cut(command, tolerance):
-            return float(distance @ solved.x) * move.acceleration_m_s2, command
+            return float(distance @ solution.x) * move.acceleration_m_s2, command
     raise ShaperError(
         f"robust move: no command that keeps the ringing below {tolerance:g} is found in {_ROUNDS} "
         "rounds of cutting planes",
@@ -148,20 +152,20 @@ def robust_optimum(
     """
     from scipy.optimize import brentq
 
-    for one in per_mode(tolerance, move.modes):
-        if not (math.isfinite(one) and one > 0.0):
+    for mode_tolerance in per_mode(tolerance, move.modes):
+        if not (math.isfinite(mode_tolerance) and mode_tolerance > 0.0):
             raise OptionError(
-                f"robust move: tolerance must be positive and finite, got {one!r}",
+                f"robust move: tolerance must be positive and finite, got {mode_tolerance!r}",
                 remedy="Give the ringing allowed, of one full step's: 0.01.",
             )
-    band, most = _Band(move, relative, tolerance), max(per_mode(tolerance, move.modes))
+    band, largest_tolerance = _Band(move, relative, tolerance), max(per_mode(tolerance, move.modes))
     low = move.rigid_duration_s
 
     def missing(duration: float) -> float:
-        return farthest(move, duration, most, band, intervals)[0] - move.distance_m
+        return farthest(move, duration, largest_tolerance, band, intervals)[0] - move.distance_m
 
-    at_once, command = farthest(move, low, most, band, intervals)
-    if at_once >= move.distance_m * (1.0 - _ROUNDING):
+    rigid_distance_m, command = farthest(move, low, largest_tolerance, band, intervals)
+    if rigid_distance_m >= move.distance_m * (1.0 - _ROUNDING):
         return command  # a slow mode that the rigid move hardly excites
     frequencies = [mode.frequency_hz for mode in move.modes]
     if max(frequencies) > _APART * min(frequencies):
@@ -179,12 +183,13 @@ def robust_optimum(
         low, high = high, high + stride
     else:
         raise ShaperError(
-            f"robust move: no command within {high:.4g} s keeps the ringing below {most:g} over "
+            f"robust move: no command within {high:.4g} s keeps the ringing below "
+            f"{largest_tolerance:g} over "
             f"{max(per_mode(relative, move.modes)) * 100:.4g}% of the frequency",
             remedy="Narrow the band or allow more ringing.",
         )
     duration = float(brentq(missing, low, high, xtol=2e-6, rtol=2e-6))
-    return farthest(move, duration, most, band, intervals)[1]
+    return farthest(move, duration, largest_tolerance, band, intervals)[1]
 
 
 def least_ringing(
@@ -208,7 +213,7 @@ def least_ringing(
     for _ in range(_ROUNDS):
         rows = band.rows(edges)
         try:
-            solved = minimise(
+            solution = minimise(
                 cost,
                 equal=(
                     np.pad(np.array([speed / edges[-1], distance / reach]), ((0, 0), (0, 1))),
@@ -220,8 +225,8 @@ def least_ringing(
             )
         except InfeasibleError:
             return None
-        command = Command(edges, solved.x[:-1])
-        if not band.cut(command, max(float(solved.x[-1]), 1e-9)):
+        command = Command(edges, solution.x[:-1])
+        if not band.cut(command, max(float(solution.x[-1]), 1e-9)):
             return band.worst(command), command
     raise ShaperError(
         f"robust move: the command that rings least is not found in {_ROUNDS} rounds of cutting "

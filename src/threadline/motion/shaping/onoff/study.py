@@ -98,13 +98,13 @@ def study_move(
     front: list[FrontPoint] = []
     if tick_s is not None:
         # Below the robust optimum no command can meet the tolerance: it is listed, not searched.
-        first = math.ceil(optimal.duration_s / tick_s - 1e-9)
-        last = math.floor(WITHIN * robust.duration_s / tick_s + 1e-9)
-        bound = math.ceil(robust.duration_s / tick_s - 1e-9)
-        coarse = range(first, bound, max(1, (bound - first) // 6))
-        durations = (*coarse, *range(bound, last + 1))
+        first_ticks = math.ceil(optimal.duration_s / tick_s - 1e-9)
+        last_ticks = math.floor(WITHIN * robust.duration_s / tick_s + 1e-9)
+        bound_ticks = math.ceil(robust.duration_s / tick_s - 1e-9)
+        coarse_ticks = range(first_ticks, bound_ticks, max(1, (bound_ticks - first_ticks) // 6))
+        durations = (*coarse_ticks, *range(bound_ticks, last_ticks + 1))
         dwell_ticks = max(1, math.ceil(dwell_s / tick_s - 1e-9))
-        if 2 * dwell_ticks > last:
+        if 2 * dwell_ticks > last_ticks:
             raise OptionError(
                 f"on/off command: the valves need {dwell_s:g} s between two switchings, and the "
                 f"move takes {robust.duration_s:.4g} s",
@@ -112,10 +112,10 @@ def study_move(
                 "--dwell out.",
             )
         # Up to the bound a point is one linear program; beyond it an integer program follows.
-        effort = [1.0 if ticks < bound else _SEARCH for ticks in durations]
-        for done, ticks in enumerate(durations):
+        effort = [1.0 if ticks < bound_ticks else _SEARCH for ticks in durations]
+        for index, ticks in enumerate(durations):
             if progress is not None:
-                share = sum(effort[:done]) / sum(effort)
+                share = sum(effort[:index]) / sum(effort)
                 progress(f"searching on/off commands of {ticks} ticks", share)
             front += residual_front(
                 move,

@@ -89,51 +89,62 @@ def switched_command(
     """
     from scipy.optimize import Bounds, LinearConstraint, milp
 
-    halves, allowed = per_mode(relative, move.modes), per_mode(tolerance, move.modes)
+    half_widths, allowed = per_mode(relative, move.modes), per_mode(tolerance, move.modes)
     if ticks < 2 or not tick_s > 0.0 or not min(allowed) > 0.0:
         raise OptionError(
             f"on/off command: ticks {ticks!r}, tick_s {tick_s!r} and tolerance {tolerance!r} "
             "must be positive, and at least 2 ticks"
         )
     edges = np.arange(ticks + 1, dtype=np.float64) * tick_s
-    half = ticks // 2
+    half_ticks = ticks // 2
     # Row of the first half minus its mirror image.
     distance = travel_rows(edges)[1]
-    reach = (distance[:half] - distance[::-1][:half]) / tick_s**2
+    reach = (distance[:half_ticks] - distance[::-1][:half_ticks]) / tick_s**2
     target = move.distance_m / (move.acceleration_m_s2 * tick_s**2)
     share = 0.995
     for _ in range(_ROUNDS):
         rows = []
-        for mode, half_band, most in zip(move.modes, halves, allowed, strict=True):
-            f = mode.frequency_hz * np.linspace(1.0 - half_band, 1.0 + half_band, _SWEEP)
-            turned = ringing_rows(edges, f, 0.0) * np.exp(1j * np.pi * f * edges[-1])[:, None]
-            one_half = (turned[:, :half] - turned[:, ::-1][:, :half]) / most
-            rows += [one_half.real, one_half.imag]
+        for mode, half_width, most_ringing in zip(move.modes, half_widths, allowed, strict=True):
+            f = mode.frequency_hz * np.linspace(1.0 - half_width, 1.0 + half_width, _SWEEP)
+            centred_rows = ringing_rows(edges, f, 0.0) * np.exp(1j * np.pi * f * edges[-1])[:, None]
+            half_rows = (
+                centred_rows[:, :half_ticks] - centred_rows[:, ::-1][:, :half_ticks]
+            ) / most_ringing
+            rows += [half_rows.real, half_rows.imag]
         band = np.vstack(rows)
         band = band[np.abs(band).max(axis=1) * min(allowed) > 1e-9]
-        more, size = _apart(half, ticks, dwell_ticks)
-        empty = np.zeros((len(band), size - half))
-        found = milp(
-            np.zeros(size),
+        dwell_rows, unknown_count = _apart(half_ticks, ticks, dwell_ticks)
+        no_effect = np.zeros((len(band), unknown_count - half_ticks))
+        solution = milp(
+            np.zeros(unknown_count),
             constraints=[
-                LinearConstraint(np.hstack((band, empty)), -share, share),
+                LinearConstraint(np.hstack((band, no_effect)), -share, share),
                 LinearConstraint(
-                    np.pad(reach[None, :], ((0, 0), (0, size - half))), target, target
+                    np.pad(reach[None, :], ((0, 0), (0, unknown_count - half_ticks))),
+                    target,
+                    target,
                 ),
-                *([] if more is None else [LinearConstraint(more[0], -np.inf, more[1])]),
+                *(
+                    []
+                    if dwell_rows is None
+                    else [LinearConstraint(dwell_rows[0], -np.inf, dwell_rows[1])]
+                ),
             ],
-            integrality=np.ones(size, dtype=np.int64),
-            bounds=Bounds(np.repeat([-1.0, 0.0], [half, size - half]), np.ones(size)),
+            integrality=np.ones(unknown_count, dtype=np.int64),
+            bounds=Bounds(
+                np.repeat([-1.0, 0.0], [half_ticks, unknown_count - half_ticks]),
+                np.ones(unknown_count),
+            ),
             options={"node_limit": nodes},
         )
-        if found.x is None:
+        if solution.x is None:
             return None
-        first = np.rint(found.x[:half])
+        first_half = np.rint(solution.x[:half_ticks])
         middle = np.zeros(ticks % 2)
-        command = Command(edges, np.concatenate((first, middle, -first[::-1])))
-        reached = float(distance @ command.levels) * move.acceleration_m_s2
-        within = rings_within(command, move.modes, relative, tolerance)
-        if within and abs(reached - move.distance_m) <= 1e-9 * move.distance_m:
+        command = Command(edges, np.concatenate((first_half, middle, -first_half[::-1])))
+        reached_m = float(distance @ command.levels) * move.acceleration_m_s2
+        rings_little = rings_within(command, move.modes, relative, tolerance)
+        if rings_little and abs(reached_m - move.distance_m) <= 1e-9 * move.distance_m:
             return command
         # Between the swept frequencies, or through damping, it rings more: require less.
         share *= 0.93
@@ -150,27 +161,27 @@ def _apart(half: int, ticks: int, dwell: int) -> tuple[tuple[FloatArray, FloatAr
     """
     if dwell <= 1:
         return None, half
-    size = 2 * half + 1
-    steps = np.zeros((half + 1, size))
+    unknown_count = 2 * half + 1
+    steps = np.zeros((half + 1, unknown_count))
     steps[:half, :half] = np.eye(half) - np.eye(half, k=-1)
     steps[half, half - 1] = 1.0  # to the mirror image, or to the 0 in the middle
     marks = np.hstack((np.zeros((half + 1, half)), 2.0 * np.eye(half + 1)))
     rows = [steps - marks, -steps - marks]
     bounds = [np.zeros(2 * (half + 1))]
-    for first in range(half + 1):
-        window = np.zeros((1, size))
-        window[0, half + first : half + min(first + dwell, half + 1)] = 1.0
+    for first_edge in range(half + 1):
+        window = np.zeros((1, unknown_count))
+        window[0, half + first_edge : half + min(first_edge + dwell, half + 1)] = 1.0
         rows.append(window)
         bounds.append(np.ones(1))
-    for back in range(half + 1):
+    for edges_back in range(half + 1):
         # Its image is as far after the middle; an odd command has a tick of 0 there.
-        between = 2 * back + ticks % 2
-        if 0 < between < dwell:
-            near = np.zeros((1, size))
-            near[0, size - 1 - back] = 1.0
-            rows.append(near)
+        ticks_between = 2 * edges_back + ticks % 2
+        if 0 < ticks_between < dwell:
+            middle_row = np.zeros((1, unknown_count))
+            middle_row[0, unknown_count - 1 - edges_back] = 1.0
+            rows.append(middle_row)
             bounds.append(np.zeros(1))
-    return (np.vstack(rows), np.concatenate(bounds)), size
+    return (np.vstack(rows), np.concatenate(bounds)), unknown_count
 
 
 def residual_front(
@@ -253,8 +264,8 @@ class Valves:
         changes = self._changes(levels)
         row, flow = np.nonzero(changes)
         height = changes[row, flow] * np.asarray(self.flows)[flow]
-        late = np.where(height > 0.0, self.opens, self.closes)
-        return np.asarray(ticks, dtype=np.float64)[row] + late, height
+        delays = np.where(height > 0.0, self.opens, self.closes)
+        return np.asarray(ticks, dtype=np.float64)[row] + delays, height
 
     def _changes(self, levels: tuple[float, ...]) -> FloatArray:
         """Return by how much each flow control opens at each level, (levels, flows)."""
@@ -264,20 +275,27 @@ class Valves:
 
     def apart(self, ticks: tuple[int, ...], levels: tuple[float, ...]) -> int:
         """Return the fewest scans between two switchings of one flow control."""
-        at = np.asarray(ticks)
-        switched = (at[changes != 0.0] for changes in self._changes(levels).T)
-        return min((int(np.diff(own).min()) for own in switched if len(own) > 1), default=at[-1])
+        tick_array = np.asarray(ticks)
+        switched_ticks = (tick_array[changes != 0.0] for changes in self._changes(levels).T)
+        return min(
+            (int(np.diff(own_ticks).min()) for own_ticks in switched_ticks if len(own_ticks) > 1),
+            default=tick_array[-1],
+        )
 
     def _opened(self, level: float) -> tuple[bool, ...]:
         """Return which of them are open for a level: the set that comes closest, the smaller."""
         places = range(len(self.flows))
         sets = [
-            chosen for size in range(len(self.flows) + 1) for chosen in combinations(places, size)
+            open_flows
+            for count in range(len(self.flows) + 1)
+            for open_flows in combinations(places, count)
         ]
-        best = min(sets, key=lambda chosen: abs(sum(self.flows[i] for i in chosen) - level))
-        return tuple(i in best for i in places)
+        best_set = min(
+            sets, key=lambda open_flows: abs(sum(self.flows[i] for i in open_flows) - level)
+        )
+        return tuple(i in best_set for i in places)
 
     def covered(self, ticks: tuple[int, ...], levels: tuple[float, ...]) -> float:
         """Return the distance of a command, in scans of level 1."""
-        at, height = self.switchings(ticks, levels)
-        return float(-np.dot(at, height))
+        instants, height = self.switchings(ticks, levels)
+        return float(-np.dot(instants, height))

@@ -148,23 +148,23 @@ def reach(bow, side, angle, theta, part, line):
     if bow == 0.0:
         return line, 0.0
     if side > 0.0:
-        most = min(part * angle, theta)
-        return np.sin(0.25 * most) * bow, most
-    most = min(part * angle, 0.5 * np.pi)
-    return most * bow, most
+        largest_angle = min(part * angle, theta)
+        return np.sin(0.25 * largest_angle) * bow, largest_angle
+    largest_angle = min(part * angle, 0.5 * np.pi)
+    return largest_angle * bow, largest_angle
 
 
 @njit()
 def flattened(theta, first, second):
     """Return theta between the secants of two bows, 0 if there is no arc."""
-    found = theta
+    flat_theta = theta
     if first.radius > 0.0 and first.side > 0.0:
-        found = min(found, theta - 0.25 * first.angle)
+        flat_theta = min(flat_theta, theta - 0.25 * first.angle)
     if second.radius > 0.0 and second.side > 0.0:
-        found = min(found, theta - 0.25 * second.angle)
-    if first.radius > 0.0 and second.radius > 0.0 and found < _LEAST:
+        flat_theta = min(flat_theta, theta - 0.25 * second.angle)
+    if first.radius > 0.0 and second.radius > 0.0 and flat_theta < _LEAST:
         return 0.0
-    return found
+    return flat_theta
 
 
 @njit()
@@ -194,8 +194,8 @@ def touching(radius, theta, first, second, tolerance):
     tolerance : float
         Permitted distance from the corner.
     """
-    bow, side, most = first
-    bow_2, side_2, most_2 = second
+    bow, side, most_angle = first
+    bow_2, side_2, most_angle_2 = second
     phi = np.pi - 2.0 * theta
     u, n = np.array([np.cos(phi), np.sin(phi)]), np.array([-np.sin(phi), np.cos(phi)])
     centre_1, centre_2 = np.array([0.0, side * bow]), side_2 * bow_2 * n
@@ -204,33 +204,37 @@ def touching(radius, theta, first, second, tolerance):
     if bow == 0.0 or bow_2 == 0.0:
         # The centre lies beside the line, at the distance d from the other move's centre.
         along, left = (u, n) if bow > 0.0 else (np.array([1.0, 0.0]), np.array([0.0, 1.0]))
-        centre, away = (centre_1, d1) if bow > 0.0 else (centre_2, d2)
+        centre, centre_distance = (centre_1, d1) if bow > 0.0 else (centre_2, d2)
         c_u, c_n = (centre * along).sum(), (centre * left).sum()
-        inside = away * away - (radius - c_n) ** 2
+        inside = centre_distance * centre_distance - (radius - c_n) ** 2
         if inside < 0.0:
             return none
-        way = min(abs(-c_u + np.sqrt(inside)), abs(-c_u - np.sqrt(inside)))
-        middle = radius * left + (way if bow > 0.0 else -way) * along
+        line_length = min(abs(-c_u + np.sqrt(inside)), abs(-c_u - np.sqrt(inside)))
+        middle = radius * left + (line_length if bow > 0.0 else -line_length) * along
     else:
-        between = centre_2 - centre_1
-        apart = np.sqrt((between * between).sum())
-        if apart == 0.0:
+        centre_to_centre = centre_2 - centre_1
+        distance = np.sqrt((centre_to_centre * centre_to_centre).sum())
+        if distance == 0.0:
             return none
-        c_x = (d1 * d1 - d2 * d2 + apart * apart) / (2.0 * apart)
+        c_x = (d1 * d1 - d2 * d2 + distance * distance) / (2.0 * distance)
         if d1 * d1 < c_x * c_x:
             return none
         c_y = np.sqrt(d1 * d1 - c_x * c_x)
-        e = between / apart
+        e = centre_to_centre / distance
         across = np.array([-e[1], e[0]])
-        one = centre_1 + c_x * e + c_y * across
-        other = centre_1 + c_x * e - c_y * across
-        middle = one if (one * one).sum() <= (other * other).sum() else other
-        way = 0.0
+        crossing_1 = centre_1 + c_x * e + c_y * across
+        crossing_2 = centre_1 + c_x * e - c_y * across
+        middle = (
+            crossing_1
+            if (crossing_1 * crossing_1).sum() <= (crossing_2 * crossing_2).sum()
+            else crossing_2
+        )
+        line_length = 0.0
     if np.sqrt((middle * middle).sum()) - radius > tolerance:
         return none
-    takes = way if bow == 0.0 else bow * _angle(-centre_1, middle - centre_1)
-    takes_2 = way if bow_2 == 0.0 else bow_2 * _angle(-centre_2, middle - centre_2)
-    if (bow > 0.0 and takes > most * bow) or (bow_2 > 0.0 and takes_2 > most_2 * bow_2):
+    takes = line_length if bow == 0.0 else bow * _angle(-centre_1, middle - centre_1)
+    takes_2 = line_length if bow_2 == 0.0 else bow_2 * _angle(-centre_2, middle - centre_2)
+    if (bow > 0.0 and takes > most_angle * bow) or (bow_2 > 0.0 and takes_2 > most_angle_2 * bow_2):
         return none
     turn = phi + (side * takes / bow if bow > 0.0 else 0.0)
     turn += side_2 * takes_2 / bow_2 if bow_2 > 0.0 else 0.0
@@ -272,12 +276,12 @@ def overlap(first, second, cosine, tolerance):
     """
     rate, length, reach, speed = first
     rate_2, length_2, reach_2, speed_2 = second
-    here, there = min(speed, np.sqrt(rate * reach)), min(speed_2, np.sqrt(rate_2 * reach_2))
-    lasts = min(length / here, length_2 / there, max(here / rate, there / rate_2))
-    leave, follow = min(here, lasts * rate), min(there, lasts * rate_2)
+    reached, reached_2 = min(speed, np.sqrt(rate * reach)), min(speed_2, np.sqrt(rate_2 * reach_2))
+    overlap_s = min(length / reached, length_2 / reached_2, max(reached / rate, reached_2 / rate_2))
+    leave, follow = min(reached, overlap_s * rate), min(reached_2, overlap_s * rate_2)
     if tolerance > 0.0 and cosine > _STRAIGHT:
-        slow = 2.0 * np.sqrt(rate * tolerance / cosine)
-        leave, follow = min(leave, slow), min(follow, slow)
+        slow_speed = 2.0 * np.sqrt(rate * tolerance / cosine)
+        leave, follow = min(leave, slow_speed), min(follow, slow_speed)
     return leave, follow
 
 
@@ -298,24 +302,24 @@ def _arc(theta, at, first, second, room, tolerance):
     tolerance : float
         Permitted distance from the corner.
     """
-    rate, planar, most, most_2 = at.plane_rate, at.plane_speed, first.most, second.most
-    here, there = min(first.asked, most), min(second.asked, most_2)
+    rate, plane_speed, most, most_2 = at.plane_rate, at.plane_speed, first.most, second.most
+    asked_1, asked_2 = min(first.asked, most), min(second.asked, most_2)
     if np.pi / 2.0 - theta < _TINY or theta < _TINY:
         return 0.0, 0.0, 0.0
     phi = np.pi - 2.0 * theta
-    flat = np.cos(min(phi, 0.49 * np.pi))
-    v1, v2 = min(most, most_2 / flat), min(most_2, most / flat)
+    flat_cosine = np.cos(min(phi, 0.49 * np.pi))
+    v1, v2 = min(most, most_2 / flat_cosine), min(most_2, most / flat_cosine)
     base = np.sqrt(v1 * v1 + v2 * v2 - 2.0 * v1 * v2 * np.cos(phi))
-    goal = planar
+    speed_goal = plane_speed
     if first.bow == 0.0 and second.bow == 0.0:
-        goal = max(goal, v1 * v2 * np.sin(phi) / base)
-    goal = min(max(here, there), goal)
+        speed_goal = max(speed_goal, v1 * v2 * np.sin(phi) / base)
+    speed_goal = min(max(asked_1, asked_2), speed_goal)
     distance = min(room, np.cos(theta) * tolerance / (1.0 - np.sin(theta)))
-    widest = np.tan(theta) * distance
-    speed = min(np.sqrt(ACROSS * rate * widest), goal)
+    widest_radius = np.tan(theta) * distance
+    speed = min(np.sqrt(ACROSS * rate * widest_radius), speed_goal)
     # No wider than overlapping moves would need at this speed.
-    lasts = min(np.sqrt(rate * distance), speed) / (0.5 * rate)
-    radius = max(speed * speed / (ACROSS * rate), min(lasts * speed / phi, widest))
+    overlap_s = min(np.sqrt(rate * distance), speed) / (0.5 * rate)
+    radius = max(speed * speed / (ACROSS * rate), min(overlap_s * speed / phi, widest_radius))
     if radius < 1e-12 or radius * phi < _TINY:
         return 0.0, 0.0, 0.0
     return radius, radius / np.tan(theta), speed
@@ -349,18 +353,18 @@ def corner(first, second, reduced, at, blending):
     _, length_2, most_2, asked_2, rate_2, bow_2, side_2 = second
     turns, theta, cosine = at.turns, at.theta, at.cosine
     tolerance, exact = blending
-    here, there = min(asked, most), min(asked_2, most_2)
-    slower = min(here, there)
+    speed_1, speed_2 = min(asked, most), min(asked_2, most_2)
+    slower_speed = min(speed_1, speed_2)
     lines = bow == 0.0 and bow_2 == 0.0
-    share = turns * (slower / CYCLE_S + rate_2) / (1.0 if lines else ALONG)
+    share = turns * (slower_speed / CYCLE_S + rate_2) / (1.0 if lines else ALONG)
     if share < _KINK:
-        return GOES_ON, slower, share, 0.0, 0.0, 0.0, 0.0
+        return GOES_ON, slower_speed, share, 0.0, 0.0, 0.0, 0.0
     if exact:
         return STOPS, 0.0, _KINK, 0.0, 0.0, 0.0, 0.0
-    straight = slower * _KINK / share
-    before = 0.5 * rate_2 * (1.0 - _KINK)
+    straight_speed = slower_speed * _KINK / share
+    half_rate_2 = 0.5 * rate_2 * (1.0 - _KINK)
     if bow_2 > 0.0:
-        theta_2 = leaning(theta, bow_2, side_2, before, asked_2)
+        theta_2 = leaning(theta, bow_2, side_2, half_rate_2, asked_2)
         cosine = np.cos(theta_2)
     else:
         theta_2 = theta
@@ -369,26 +373,28 @@ def corner(first, second, reduced, at, blending):
         0.5 * rate * (1.0 - max(reduced, _KINK)) * (1.0 if bow == 0.0 else ALONG),
         left,
         0.5 * left,
-        here,
+        speed_1,
     )
-    following = Ramp(before * (1.0 if bow_2 == 0.0 else ALONG), length_2, 0.5 * length_2, there)
+    following = Ramp(
+        half_rate_2 * (1.0 if bow_2 == 0.0 else ALONG), length_2, 0.5 * length_2, speed_2
+    )
     leave, follow = overlap(leaving, following, cosine, tolerance)
-    over = 0.25 * np.sin(theta_2) * (leave + follow)
-    leaves = _SHARE * min(length, length_2)
+    overlap_speed = 0.25 * np.sin(theta_2) * (leave + follow)
+    deviation_mm = _SHARE * min(length, length_2)
     if tolerance > 0.0:
-        leaves = min(leaves, tolerance)
+        deviation_mm = min(deviation_mm, tolerance)
     room, part = min(left, 0.5 * length), 2.0 / 3.0
     room, angle = reach(bow, side, left / max(bow, _TINY), theta, part, room)
     room_2, angle_2 = reach(bow_2, side_2, length_2 / max(bow_2, _TINY), theta, 1.0 / 3.0,
                             0.5 * length_2)  # fmt: skip
     bent_1, bent_2 = Bow(bow, side, angle), Bow(bow_2, side_2, angle_2)
     flat = flattened(theta, bent_1, bent_2)
-    radius, distance, bent = _arc(flat, at, first, second, min(room, room_2), leaves)
+    radius, distance, arc_speed = _arc(flat, at, first, second, min(room, room_2), deviation_mm)
     distance_2, turn = distance, np.pi - 2.0 * theta
     if radius > 0.0 and not lines:
-        distance, distance_2, turn = touching(radius, theta, bent_1, bent_2, leaves)
-    if radius > 0.0 and turn > 0.0 and bent > max(over, straight):
-        return BENDS, bent, 0.0, radius, distance, distance_2, turn
-    if over >= straight:
+        distance, distance_2, turn = touching(radius, theta, bent_1, bent_2, deviation_mm)
+    if radius > 0.0 and turn > 0.0 and arc_speed > max(overlap_speed, straight_speed):
+        return BENDS, arc_speed, 0.0, radius, distance, distance_2, turn
+    if overlap_speed >= straight_speed:
         return OVERLAPS, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    return GOES_ON, straight, _KINK, 0.0, 0.0, 0.0, 0.0
+    return GOES_ON, straight_speed, _KINK, 0.0, 0.0, 0.0, 0.0

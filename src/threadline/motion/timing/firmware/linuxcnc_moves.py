@@ -41,31 +41,38 @@ def ends_of_bows(way, line, alone):
         Whether only X, Y and Z move.
     """
     count = len(way)
-    found = np.arange(count)
-    first, sure, cosine = 0, 0.0, 1.0
+    first_moves = np.arange(count)
+    first, first_length, cosine = 0, 0.0, 1.0
     for i in range(1, count):
-        size, last, both, off = 0.0, 0.0, 0.0, 0.0
+        length, length_before, dot, difference = 0.0, 0.0, 0.0, 0.0
         for k in range(way.shape[1]):
-            size += way[i, k] ** 2
-            last += way[i - 1, k] ** 2
-            both += way[i, k] * way[i - 1, k]
-        size, last = np.sqrt(size), np.sqrt(last)
-        goes = line[i] == line[i - 1] and alone[i] and alone[i - 1] and both > 0.0
-        if not goes:
-            first = found[i] = i
+            length += way[i, k] ** 2
+            length_before += way[i - 1, k] ** 2
+            dot += way[i, k] * way[i - 1, k]
+        length, length_before = np.sqrt(length), np.sqrt(length_before)
+        continues = line[i] == line[i - 1] and alone[i] and alone[i - 1] and dot > 0.0
+        if not continues:
+            first = first_moves[i] = i
             continue
         if i - first == 1:
-            sure, cosine = last, min(1.0, max(-1.0, both / (size * last)))
+            first_length, cosine = (
+                length_before,
+                min(1.0, max(-1.0, dot / (length * length_before))),
+            )
         else:
             for k in range(way.shape[1]):
-                off = max(off, abs(way[i, k] - 2.0 * cosine * way[i - 1, k] + way[i - 2, k]))
+                difference = max(
+                    difference, abs(way[i, k] - 2.0 * cosine * way[i - 1, k] + way[i - 2, k])
+                )
         # The arc of a chord c with the angle h is c tan(h / 4) / 2 away from it.
-        sag = 0.5 * size * np.tan(0.25 * np.arccos(cosine))
-        goes = 0.0 < sag < _SAG_MM and max(abs(size - sure), off) <= _ALIKE * size
-        if not goes:
+        sag = 0.5 * length * np.tan(0.25 * np.arccos(cosine))
+        continues = (
+            0.0 < sag < _SAG_MM and max(abs(length - first_length), difference) <= _ALIKE * length
+        )
+        if not continues:
             first = i
-        found[i] = first
-    return found
+        first_moves[i] = first
+    return first_moves
 
 
 def circle(points: FloatArray) -> tuple[float, FloatArray, FloatArray, float] | None:
@@ -80,20 +87,20 @@ def circle(points: FloatArray) -> tuple[float, FloatArray, FloatArray, float] | 
     a, b, c = points[0], points[max(1, count // 3)], points[max(2, 2 * count // 3)]
     u, v = b - a, c - a
     uu, vv, uv = u @ u, v @ v, u @ v
-    down = 2.0 * (uu * vv - uv**2)
-    centre = (vv * (uu - uv) * u + uu * (vv - uv) * v) / down
+    divisor = 2.0 * (uu * vv - uv**2)
+    centre = (vv * (uu - uv) * u + uu * (vv - uv) * v) / divisor
     radius = float(np.sqrt(centre @ centre))
     inward = centre / radius
     along = u - (u @ inward) * inward
     along /= np.sqrt(along @ along)
-    away = points - a - centre
-    if np.abs(np.sqrt((away**2).sum(axis=1)) - radius).max() > _OFF_MM:
+    from_centre = points - a - centre
+    if np.abs(np.sqrt((from_centre**2).sum(axis=1)) - radius).max() > _OFF_MM:
         return None
-    over = away[-1]
-    angle = np.arctan2(over @ along, -(over @ inward)) % (2.0 * np.pi)
+    end_from_centre = from_centre[-1]
+    angle = np.arctan2(end_from_centre @ along, -(end_from_centre @ inward)) % (2.0 * np.pi)
     chord = points[1] - a
-    each = 2.0 * np.arcsin(min(1.0, float(np.sqrt(chord @ chord)) / (2.0 * radius)))
-    turns = np.round((each * count - angle) / (2.0 * np.pi))
+    chord_angle = 2.0 * np.arcsin(min(1.0, float(np.sqrt(chord @ chord)) / (2.0 * radius)))
+    turns = np.round((chord_angle * count - angle) / (2.0 * np.pi))
     # The curve ends where the last chord does: its radius changes a little.
     return radius, along, inward, float(angle + 2.0 * np.pi * turns)
 
@@ -125,33 +132,35 @@ def joined(start, way, feed, alone, tolerance):
         Q.
     """
     count, axes = way.shape
-    found = np.ones(count, np.int64)
+    is_end = np.ones(count, np.int64)
     first = 0
     for i in range(1, count):
-        goes = i - first < _MOST and alone[i] and alone[first] and feed[i] > 0.0
-        goes = goes and abs(feed[i] - feed[first]) <= _SAME * feed[first]
-        if goes:
-            size = 0.0
+        may_join = i - first < _MOST and alone[i] and alone[first] and feed[i] > 0.0
+        may_join = may_join and abs(feed[i] - feed[first]) <= _SAME * feed[first]
+        if may_join:
+            chord2 = 0.0
             for k in range(axes):
-                size += (start[i, k] + way[i, k] - start[first, k]) ** 2
-            goes = size > 0.0
+                chord2 += (start[i, k] + way[i, k] - start[first, k]) ** 2
+            may_join = chord2 > 0.0
         j = first
-        while goes and j < i:
-            share, off = 0.0, 0.0
+        while may_join and j < i:
+            chord_share, distance2 = 0.0, 0.0
             for k in range(axes):
-                over = start[i, k] + way[i, k] - start[first, k]
-                share += over * (start[j, k] + way[j, k] - start[first, k])
-            share = min(1.0, max(0.0, share / size))
+                chord_part = start[i, k] + way[i, k] - start[first, k]
+                chord_share += chord_part * (start[j, k] + way[j, k] - start[first, k])
+            chord_share = min(1.0, max(0.0, chord_share / chord2))
             for k in range(axes):
-                over = start[i, k] + way[i, k] - start[first, k]
-                off += (start[j, k] + way[j, k] - start[first, k] - share * over) ** 2
-            goes = off <= tolerance * tolerance
+                chord_part = start[i, k] + way[i, k] - start[first, k]
+                distance2 += (
+                    start[j, k] + way[j, k] - start[first, k] - chord_share * chord_part
+                ) ** 2
+            may_join = distance2 <= tolerance * tolerance
             j += 1
-        if goes:
-            found[i - 1] = 0
+        if may_join:
+            is_end[i - 1] = 0
         else:
             first = i
-    return found
+    return is_end
 
 
 Bow = tuple[float, FloatArray, FloatArray, float]
@@ -203,8 +212,8 @@ class Course:
         arcs = self.bow > 0.0
         if arcs.any():
             direction = np.where(arcs[:, None], np.hypot(self.along, self.inward), self.along)
-            flat = np.where(direction > 1e-9, 1.0, 0.0)
-            direction = np.where(arcs[:, None], flat, self.along)
+            in_plane = np.where(direction > 1e-9, 1.0, 0.0)
+            direction = np.where(arcs[:, None], in_plane, self.along)
         fastest = along_axes(rules.velocity, direction)
         rate = along_axes(rules.acceleration, direction)
         fastest = np.where(arcs, np.minimum(fastest, np.sqrt(ACROSS * rate * self.bow)), fastest)
@@ -234,10 +243,10 @@ def course(
     )
     bows: dict[int, Bow] = {}
     along = np.ascontiguousarray(way[:, linear])
-    found = rows_of(ends_of_bows(along, line, alone & (nominal_s > 0.0)))
-    if found:
+    bow_rows = rows_of(ends_of_bows(along, line, alone & (nominal_s > 0.0)))
+    if bow_rows:
         beside = np.array([axis not in "XY" for axis in rules.axes])
-        bows = rows.bend(found, beside, cam_tolerance)
+        bows = rows.bend(bow_rows, beside, cam_tolerance)
     if cam_tolerance > 0.0:
         bows = rows.join(linear, bows, cam_tolerance)
     start, way, length, nominal_s = rows.start, rows.way, rows.length, rows.nominal_s
@@ -271,7 +280,7 @@ class _Rows:
 
         ``beside`` marks the other axes.
         """
-        kept = np.ones(len(self.way), np.bool_)
+        is_kept = np.ones(len(self.way), np.bool_)
         bows: dict[int, Bow] = {}
         for first, end in found:
             chords = self.way[first : end + 1]
@@ -281,22 +290,26 @@ class _Rows:
                 continue
             radius, along, inward, angle = bow
             pace = self.length[first] / self.nominal_s[first]
-            kept[first : end + 1] = False
-            off = radius * (1.0 - np.cos(0.5 * angle))
-            if off < cam_tolerance and not chords[:, beside].any():
+            is_kept[first : end + 1] = False
+            deviation_mm = radius * (1.0 - np.cos(0.5 * angle))
+            if deviation_mm < cam_tolerance and not chords[:, beside].any():
                 middle = np.sin(0.5 * angle) * along + (1.0 - np.cos(0.5 * angle)) * inward
                 middle = begin + radius * middle
-                for row, one, other in ((first, begin, middle), (end, middle, stop)):
-                    self.start[row], self.way[row], kept[row] = one, other - one, True
-                    self.length[row] = np.linalg.norm(other - one)
+                for row, line_start, line_end in ((first, begin, middle), (end, middle, stop)):
+                    self.start[row], self.way[row], is_kept[row] = (
+                        line_start,
+                        line_end - line_start,
+                        True,
+                    )
+                    self.length[row] = np.linalg.norm(line_end - line_start)
                     self.nominal_s[row] = self.length[row] / pace
             else:
-                kept[first], self.alone[first], self.last[first] = True, False, end
+                is_kept[first], self.alone[first], self.last[first] = True, False, end
                 self.length[first] = radius * angle
                 self.nominal_s[first] = self.length[first] / pace
                 bows[first] = bow
                 self.way[first] = stop - begin
-        rows = np.flatnonzero(kept)
+        rows = np.flatnonzero(is_kept)
         self._take(rows)
         return {int(np.searchsorted(rows, row)): bow for row, bow in bows.items()}
 
@@ -307,19 +320,19 @@ class _Rows:
         timed = self.nominal_s > 0.0
         feed = np.where(timed, self.length / np.where(timed, self.nominal_s, 1.0), 0.0)
         # Always in the same memory order: numba compiles a version for each order.
-        begun, along = (np.ascontiguousarray(of[:, linear]) for of in (self.start, self.way))
-        ends = joined(begun, along, feed, self.alone, cam_tolerance)
+        starts, along = (np.ascontiguousarray(of[:, linear]) for of in (self.start, self.way))
+        ends = joined(starts, along, feed, self.alone, cam_tolerance)
         last = np.flatnonzero(ends)
         first = np.concatenate(([0], last[:-1] + 1))
-        many = np.flatnonzero(last > first)
-        stop = self.start[last[many]] + self.way[last[many]]
-        way = stop - self.start[first[many]]
-        start, pace = self.start[first], feed[last[many]]
+        joined_rows = np.flatnonzero(last > first)
+        stop = self.start[last[joined_rows]] + self.way[last[joined_rows]]
+        way = stop - self.start[first[joined_rows]]
+        start, pace = self.start[first], feed[last[joined_rows]]
         self._take(last)
         self.start = start
-        self.way[many] = way
-        self.length[many] = np.linalg.norm(way, axis=1)
-        self.nominal_s[many] = self.length[many] / pace
+        self.way[joined_rows] = way
+        self.length[joined_rows] = np.linalg.norm(way, axis=1)
+        self.nominal_s[joined_rows] = self.length[joined_rows] / pace
         return {int(np.searchsorted(last, row)): bow for row, bow in bows.items()}
 
     def _take(self, rows: IntArray) -> None:

@@ -99,23 +99,23 @@ def speeds_at_ends(extent, most, speed, rate, limit, ends):
     moment.
     """
     count = len(extent)
-    found = np.zeros(count)
+    end_speeds = np.zeros(count)
     for i in range(count - 1):
         if ends[i] != GOES_ON:
             continue
         newest = min(count - 1, i + AHEAD)
-        able = 0.0
+        reachable = 0.0
         for j in range(newest - 1, i - 1, -1):
             if ends[j] != GOES_ON:
-                able = 0.0
+                reachable = 0.0
                 continue
             n = j + 1
             gain = 1.0 if n == newest else 2.0
-            able = np.sqrt(able * able + gain * rate[n] * extent[n])
-            here = speed[n] if n == newest else most[n]
-            able = min(able, limit[j], most[j], here)
-        found[i] = able
-    return found
+            reachable = np.sqrt(reachable * reachable + gain * rate[n] * extent[n])
+            speed_limit = speed[n] if n == newest else most[n]
+            reachable = min(reachable, limit[j], most[j], speed_limit)
+        end_speeds[i] = reachable
+    return end_speeds
 
 
 @njit()
@@ -133,23 +133,23 @@ def _phases(length, enter, top, leave, rate, evenly, phases):
     """
     time_s, change = phases
     time_s[:], change[:] = 0.0, 0.0
-    longest = 2.0 * rate * length
-    if leave * leave > enter * enter + longest:
-        leave = np.sqrt(enter * enter + longest)
+    speed2_change = 2.0 * rate * length
+    if leave * leave > enter * enter + speed2_change:
+        leave = np.sqrt(enter * enter + speed2_change)
         evenly = True
-    elif leave * leave < enter * enter - longest:
-        leave = np.sqrt(enter * enter - longest)
+    elif leave * leave < enter * enter - speed2_change:
+        leave = np.sqrt(enter * enter - speed2_change)
         evenly = True
     if evenly and enter + leave > 0.0:
         time_s[0] = 2.0 * length / (enter + leave)
         change[0] = (leave - enter) / time_s[0]
         return leave
-    peak = min(top, np.sqrt(0.5 * (enter * enter + leave * leave + longest)))
+    peak = min(top, np.sqrt(0.5 * (enter * enter + leave * leave + speed2_change)))
     peak = max(peak, leave)
-    up, down = abs(peak * peak - enter * enter), peak * peak - leave * leave
+    rise2, fall2 = abs(peak * peak - enter * enter), peak * peak - leave * leave
     time_s[0], time_s[2] = abs(peak - enter) / rate, (peak - leave) / rate
     change[0], change[2] = (rate if peak > enter else -rate), -rate
-    time_s[1] = max(0.0, length - (up + down) / (2.0 * rate)) / peak
+    time_s[1] = max(0.0, length - (rise2 + fall2) / (2.0 * rate)) / peak
     return leave
 
 
@@ -288,15 +288,15 @@ def _together(row, r, place, v, rate, following):
 def _until(place, v, change, lead, radius):
     """Return when a motion along an arc reaches the end of its line, or has turned by a bend."""
     if place < lead - 1e-9:
-        way = lead - place
+        distance = lead - place
     else:
         step = radius * _BEND
-        done = np.floor((place - lead) / step + 1e-6)
-        way = lead + (done + 1.0) * step - place
-    inside = v * v + 2.0 * change * way
-    if inside <= 0.0:
+        bends_done = np.floor((place - lead) / step + 1e-6)
+        distance = lead + (bends_done + 1.0) * step - place
+    speed2 = v * v + 2.0 * change * distance
+    if speed2 <= 0.0:
         return np.inf
-    return 2.0 * way / (v + np.sqrt(inside))
+    return 2.0 * distance / (v + np.sqrt(speed2))
 
 
 _BACK = np.radians(2.0) ** 2  # squared sum of unit vectors below which a corner reverses
@@ -309,47 +309,52 @@ def corners(rules: Rules, moves: Course) -> Corners:
     A move that leaves X, Y and Z at rest counts as one along X.
     """
     linear = np.array([axis in LINEAR for axis in rules.axes])
-    alone = (moves.along[:, ~linear] == 0.0).all(axis=1)
+    only_xyz = (moves.along[:, ~linear] == 0.0).all(axis=1)
     columns = [LINEAR.index(axis) for axis in rules.axes if axis in LINEAR]
     rate, speed = np.full(len(LINEAR), np.inf), np.full(len(LINEAR), np.inf)
     rate[columns], speed[columns] = rules.acceleration[linear], rules.velocity[linear]
-    first = _tangents(moves.onward[:-1, linear], columns)
-    second = _tangents(moves.along[1:, linear], columns)
-    along = np.clip((first * second).sum(axis=1), -1.0, 1.0)
-    aside = second - along[:, None] * first
-    size = np.linalg.norm(aside, axis=1)
-    aside /= np.where(size > 0.0, size, 1.0)[:, None]
-    reach = np.hypot(first, aside)  # of each axis in the plane of the corner
+    direction_before = _tangents(moves.onward[:-1, linear], columns)
+    direction_after = _tangents(moves.along[1:, linear], columns)
+    cosine = np.clip((direction_before * direction_after).sum(axis=1), -1.0, 1.0)
+    across = direction_after - cosine[:, None] * direction_before
+    across_length = np.linalg.norm(across, axis=1)
+    across /= np.where(across_length > 0.0, across_length, 1.0)[:, None]
+    reach = np.hypot(direction_before, across)  # of each axis in the plane of the corner
     # If an arc bends the same way as its corner, its centre lies on the same side.
     angle = moves.length[:-1] / np.where(moves.bow[:-1] > 0.0, moves.bow[:-1], 1.0)
-    last = np.cos(angle)[:, None] * moves.inward[:-1] - np.sin(angle)[:, None] * moves.along[:-1]
-    ahead = np.zeros_like(aside)
-    ahead[:, columns] = last[:, linear]
-    behind = np.zeros_like(aside)
-    behind[:, columns] = moves.inward[1:, linear]
-    left = along[:, None] * aside - np.sqrt(np.maximum(1.0 - along**2, 0.0))[:, None] * first
+    last_inward = (
+        np.cos(angle)[:, None] * moves.inward[:-1] - np.sin(angle)[:, None] * moves.along[:-1]
+    )
+    centre_before = np.zeros_like(across)
+    centre_before[:, columns] = last_inward[:, linear]
+    centre_after = np.zeros_like(across)
+    centre_after[:, columns] = moves.inward[1:, linear]
+    left_normal = (
+        cosine[:, None] * across
+        - np.sqrt(np.maximum(1.0 - cosine**2, 0.0))[:, None] * direction_before
+    )
     rapid = moves.nominal_s == 0.0
     return Corners(
         rapid[1:] != rapid[:-1],
-        alone[1:] & alone[:-1],
-        ((first + second) ** 2).sum(axis=1) < _BACK,
-        (np.abs(second - first) / rate).max(axis=1),
-        0.5 * np.arccos(-along),
-        np.sqrt(np.maximum(0.5 * (1.0 - along), 0.0)),
+        only_xyz[1:] & only_xyz[:-1],
+        ((direction_before + direction_after) ** 2).sum(axis=1) < _BACK,
+        (np.abs(direction_after - direction_before) / rate).max(axis=1),
+        0.5 * np.arccos(-cosine),
+        np.sqrt(np.maximum(0.5 * (1.0 - cosine), 0.0)),
         along_axes(rate, reach),
         along_axes(speed, reach),
-        np.sign((ahead * aside).sum(axis=1)),
-        np.sign((behind * left).sum(axis=1)),
+        np.sign((centre_before * across).sum(axis=1)),
+        np.sign((centre_after * left_normal).sum(axis=1)),
     )
 
 
-def _tangents(way: FloatArray, columns: list[int]) -> FloatArray:
+def _tangents(vectors: FloatArray, columns: list[int]) -> FloatArray:
     """Return (n, 3) unit vectors along X, Y, Z."""
-    found = np.zeros((len(way), len(LINEAR)))
-    found[:, columns] = way
-    length = np.linalg.norm(found, axis=1)
-    found[length == 0.0, 0] = 1.0
-    return np.asarray(found / np.where(length == 0.0, 1.0, length)[:, None])
+    tangents = np.zeros((len(vectors), len(LINEAR)))
+    tangents[:, columns] = vectors
+    length = np.linalg.norm(tangents, axis=1)
+    tangents[length == 0.0, 0] = 1.0
+    return np.asarray(tangents / np.where(length == 0.0, 1.0, length)[:, None])
 
 
 @dataclass(slots=True, kw_only=True)
@@ -380,8 +385,8 @@ class LinkedRun(MovesInHand):
 
     def extend(self, block: PieceBlock, rows: slice, *, ends: bool) -> Iterator[TrajectoryBlock]:
         """Add moves with their lines."""
-        moves = block.coefficients[rows, 1].any(axis=1)
-        self.line.append(block.line[rows][moves])
+        moving = block.coefficients[rows, 1].any(axis=1)
+        self.line.append(block.line[rows][moving])
         yield from MovesInHand.extend(self, block, rows, ends=ends)
 
     def _join(self) -> None:
@@ -403,23 +408,32 @@ class LinkedRun(MovesInHand):
             self.line[0],
             self.planner.cam_tolerance_m * MM,
         )
-        done = len(moves) if ends else len(moves) - _BEHIND
-        if done <= 0:
+        settled_count = len(moves) if ends else len(moves) - _BEHIND
+        if settled_count <= 0:
             return
         blending = Blending(self.planner.tolerance_m * MM, self.planner.exact_stop)
-        at = corners(self.rules, moves)
+        corner_geometry = corners(self.rules, moves)
         timed = TimedMoves(moves.length, *moves.limits(self.rules), moves.bow)
-        links = link(timed, at, blending, self.cut, self.takes, self.over)
-        out = len(links.move) if ends else int(links.first[done])
+        links = link(timed, corner_geometry, blending, self.cut, self.takes, self.over)
+        piece_count = len(links.move) if ends else int(links.first[settled_count])
         rapid = moves.nominal_s == 0.0
         piece, row, self.started = motion(
-            links, moves.bow, at.cosine, rapid, blending.tolerance, out, self.started
+            links,
+            moves.bow,
+            corner_geometry.cosine,
+            rapid,
+            blending.tolerance,
+            piece_count,
+            self.started,
         )
         if len(piece):
             coefficients = polynomials(links, moves, piece, row) / scale
             operation = moves.operation[links.move[piece]]
             yield self._timed(row[:, :1], coefficients[:, None], operation)
         if not ends:
-            self.cut, self.takes = float(links.cut[done]), float(links.takes[done])
-            self.over = int(links.over[done])
-        self._keep(int(moves.last[done - 1]) + 1)
+            self.cut, self.takes = (
+                float(links.cut[settled_count]),
+                float(links.takes[settled_count]),
+            )
+            self.over = int(links.over[settled_count])
+        self._keep(int(moves.last[settled_count - 1]) + 1)

@@ -37,15 +37,15 @@ def entries_of_ring(most, gain, ring, begin):
         v^2 at the start of the first move.
     """
     count = len(most)
-    found = np.zeros(count + 1)
-    found[0] = begin
+    entries = np.zeros(count + 1)
+    entries[0] = begin
     for i in range(count - 1):
         end = min(count, i + ring)
-        able = 0.0
+        reachable = 0.0
         for j in range(end - 1, i, -1):
-            able = min(most[j], able + gain[j])
-        found[i + 1] = min(able, found[i] + gain[i])
-    return found
+            reachable = min(most[j], reachable + gain[j])
+        entries[i + 1] = min(reachable, entries[i] + gain[i])
+    return entries
 
 
 @njit()
@@ -70,37 +70,37 @@ def entries_in_marlin(most, least, gain, ring, goes_on, begin):
         v^2 at the start of the first move.
     """
     count = len(most)
-    found = np.zeros(count + 1)
-    sure, bound = np.copy(least), np.copy(most)
+    entries = np.zeros(count + 1)
+    sure_entries, largest_entries = np.copy(least), np.copy(most)
     changed = np.zeros(count, np.bool_)
-    found[0] = sure[0] = bound[0] = begin
-    for new in range(1, count):
-        busy = new - ring
-        if busy < 0 or (busy == 0 and not goes_on):
-            busy = -1
-        found[new] = behind = least[new]
-        i = new
-        while i > busy + 1:
-            able = min(behind + gain[i], bound[i])
-            if found[i] == bound[i] or found[i] == able:
+    entries[0] = sure_entries[0] = largest_entries[0] = begin
+    for added in range(1, count):
+        running = added - ring
+        if running < 0 or (running == 0 and not goes_on):
+            running = -1
+        entries[added] = entry_after = least[added]
+        i = added
+        while i > running + 1:
+            reachable = min(entry_after + gain[i], largest_entries[i])
+            if entries[i] == largest_entries[i] or entries[i] == reachable:
                 break
-            found[i], changed[i] = able, True
-            behind = able
+            entries[i], changed[i] = reachable, True
+            entry_after = reachable
             i -= 1
-        changed[new] = True
-        for i in range(max(busy, 0) + 1, new + 1):
+        changed[added] = True
+        for i in range(max(running, 0) + 1, added + 1):
             if not changed[i]:
                 continue
             changed[i] = False
-            if i - 1 == busy:
-                found[i] = sure[i]
-            elif found[i] != sure[i]:
-                able = found[i - 1] + gain[i - 1]
-                if able < found[i]:
-                    found[i] = bound[i] = max(able, sure[i])
-                sure[i] = found[i]
-    found[count] = least[count - 1]
-    return found
+            if i - 1 == running:
+                entries[i] = sure_entries[i]
+            elif entries[i] != sure_entries[i]:
+                reachable = entries[i - 1] + gain[i - 1]
+                if reachable < entries[i]:
+                    entries[i] = largest_entries[i] = max(reachable, sure_entries[i])
+                sure_entries[i] = entries[i]
+    entries[count] = least[count - 1]
+    return entries
 
 
 @njit()
@@ -139,22 +139,22 @@ def speeds_with_cruise(most, top, gain, smooth, start, smooth_start, cruise):
         first[i] = min(most[i], top[i], top[i - 1], first[i - 1] + gain[i - 1])
         second[i] = min(first[i], second[i - 1] + smooth[i - 1])
     enter, leave, peak = np.empty(count), np.empty(count), np.empty(count)
-    worth, waiting, fixed = 0.0, 0, 0
-    ahead, smooth_ahead = 0.0, 0.0
-    free = False  # whether moves after the last one are irrelevant
+    peak_limit, waiting_count, fixed = 0.0, 0, 0
+    entry_after, smooth_entry_after = 0.0, 0.0
+    is_free = False  # whether moves after the last one are irrelevant
     for i in range(count - 1, -1, -1):
-        able, smooth_able = ahead + gain[i], smooth_ahead + smooth[i]
-        enter[i], leave[i], peak[i] = min(first[i], able), ahead, -1.0
-        here = min(second[i], smooth_able)
-        waiting += 1
-        if here < smooth_able:
-            if here + smooth[i] > smooth_ahead or waiting > 1:
-                if not free and worth > 0.0:
-                    free, fixed = True, i + waiting
-                worth = 0.5 * (here + smooth_able)
-            peak[i] = min(0.5 * (enter[i] + able), top[i], worth)
-            waiting = 0
-        ahead, smooth_ahead = enter[i], here
+        reachable, smooth_reachable = entry_after + gain[i], smooth_entry_after + smooth[i]
+        enter[i], leave[i], peak[i] = min(first[i], reachable), entry_after, -1.0
+        smooth_entry = min(second[i], smooth_reachable)
+        waiting_count += 1
+        if smooth_entry < smooth_reachable:
+            if smooth_entry + smooth[i] > smooth_entry_after or waiting_count > 1:
+                if not is_free and peak_limit > 0.0:
+                    is_free, fixed = True, i + waiting_count
+                peak_limit = 0.5 * (smooth_entry + smooth_reachable)
+            peak[i] = min(0.5 * (enter[i] + reachable), top[i], peak_limit)
+            waiting_count = 0
+        entry_after, smooth_entry_after = enter[i], smooth_entry
     for i in range(count):
         if peak[i] < 0.0:
             peak[i] = min(cruise, enter[i])
@@ -192,10 +192,10 @@ class MovesInHand(ABC):
 
     def extend(self, block: PieceBlock, rows: slice, *, ends: bool) -> Iterator[TrajectoryBlock]:
         """Add moves and yield the settled ones; all of them, and the dwell, at a run's end."""
-        start, way = block.coefficients[rows, 0], block.coefficients[rows, 1]
-        moves = way.any(axis=1)
-        nominal_s, operation = block.nominal_s[rows][moves], block.operation[rows][moves]
-        taken = self._made((start[moves], way[moves], nominal_s, operation), ends)
+        start, displacement = block.coefficients[rows, 0], block.coefficients[rows, 1]
+        moving = displacement.any(axis=1)
+        nominal_s, operation = block.nominal_s[rows][moving], block.operation[rows][moving]
+        taken = self._made((start[moving], displacement[moving], nominal_s, operation), ends)
         self.start.append(taken[0])
         self.way.append(taken[1])
         self.nominal_s.append(taken[2])
@@ -206,10 +206,12 @@ class MovesInHand(ABC):
             yield from self._settle(ends)
         if not ends:
             return
-        dwell = float(block.dwell_s[rows][-1])
-        if dwell > 0.0:
-            yield standing(self.begin_s, start[-1] + way[-1], dwell, block.operation[rows][-1:])
-            self.begin_s += dwell
+        dwell_s = float(block.dwell_s[rows][-1])
+        if dwell_s > 0.0:
+            yield standing(
+                self.begin_s, start[-1] + displacement[-1], dwell_s, block.operation[rows][-1:]
+            )
+            self.begin_s += dwell_s
         self._keep(self.waiting)
         self.begun = False
         self._rest()
@@ -231,26 +233,26 @@ class MovesInHand(ABC):
     ) -> TrajectoryBlock:
         """Return (n, k) parts of n moves in a row, without parts of zero duration."""
         count, parts = time_s.shape
-        lasts = time_s.reshape(-1) > 0.0
-        duration = time_s.reshape(-1)[lasts]
+        is_kept = time_s.reshape(-1) > 0.0
+        duration = time_s.reshape(-1)[is_kept]
         begin = self.begin_s + np.concatenate(([0.0], np.cumsum(duration)))
         self.begin_s = float(begin[-1])
         return TrajectoryBlock(
             start_s=begin[:-1],
             duration_s=duration,
-            coefficients=coefficients.reshape(parts * count, *coefficients.shape[2:])[lasts],
-            operation=np.repeat(operation, parts)[lasts],
+            coefficients=coefficients.reshape(parts * count, *coefficients.shape[2:])[is_kept],
+            operation=np.repeat(operation, parts)[is_kept],
         )
 
     def _join(self) -> None:
-        for kept in (self.start, self.way, self.nominal_s):
-            kept[:] = [np.concatenate(kept)]
+        for column in (self.start, self.way, self.nominal_s):
+            column[:] = [np.concatenate(column)]
         self.operation[:] = [np.concatenate(self.operation)]
 
     def _keep(self, done: int) -> None:
         """Discard the moves that were yielded."""
         self._join()
-        for kept in (self.start, self.way, self.nominal_s):
-            kept[:] = [kept[0][done:]]
+        for column in (self.start, self.way, self.nominal_s):
+            column[:] = [column[0][done:]]
         self.operation[:] = [self.operation[0][done:]]
         self.waiting -= done

@@ -31,21 +31,21 @@ def kept_moves(ends: FloatArray, begin: FloatArray, *, last: bool) -> NDArray[np
         Whether the machine rests after these moves: it then ends exactly where the program says, if
         necessary by skipping the previous end.
     """
-    whole = np.rint(ends)
-    found = np.ones(len(ends), dtype=bool)
-    way = np.diff(whole, axis=0, prepend=np.rint(begin)[None])
-    if np.all(np.abs(way).max(axis=1) >= _LEAST_STEPS):
-        return found
-    at, kept = np.rint(begin), -1
-    for row, end in enumerate(whole):
-        found[row] = np.abs(end - at).max() >= _LEAST_STEPS
-        if found[row]:
-            at, kept = end, row
-    if last and not found[-1]:
-        found[-1] = True
-        if kept >= 0:
-            found[kept] = False
-    return found
+    whole_ends = np.rint(ends)
+    is_kept = np.ones(len(ends), dtype=bool)
+    displacement = np.diff(whole_ends, axis=0, prepend=np.rint(begin)[None])
+    if np.all(np.abs(displacement).max(axis=1) >= _LEAST_STEPS):
+        return is_kept
+    last_end, last_kept = np.rint(begin), -1
+    for row, end in enumerate(whole_ends):
+        is_kept[row] = np.abs(end - last_end).max() >= _LEAST_STEPS
+        if is_kept[row]:
+            last_end, last_kept = end, row
+    if last and not is_kept[-1]:
+        is_kept[-1] = True
+        if last_kept >= 0:
+            is_kept[last_kept] = False
+    return is_kept
 
 
 def whole_steps(start: FloatArray, way: FloatArray, steps: FloatArray) -> FloatArray:
@@ -58,11 +58,11 @@ def whole_steps(start: FloatArray, way: FloatArray, steps: FloatArray) -> FloatA
     steps
         (axes,) steps per mm or degree.
     """
-    count = np.rint((start + way) * steps) - np.rint(start * steps)
+    step_count = np.rint((start + way) * steps) - np.rint(start * steps)
     # As Marlin computes, in 24-bit numbers.
-    size = np.float32(1.0) / steps.astype(np.float32)
-    rounded = (count.astype(np.float32) * size).astype(float)
-    return np.where(np.any(rounded, axis=1)[:, None], rounded, way)
+    step_length = np.float32(1.0) / steps.astype(np.float32)
+    rounded_way = (step_count.astype(np.float32) * step_length).astype(float)
+    return np.where(np.any(rounded_way, axis=1)[:, None], rounded_way, way)
 
 
 def least_squares(moves: Moves, steps: FloatArray) -> FloatArray:
@@ -88,11 +88,11 @@ def held_back(length: FloatArray, programmed: FloatArray, first: int, short_s: f
     short_s
         Time (``M205 B``) below which a move is slowed while few are buffered.
     """
-    ahead = np.arange(first, first + len(length))
-    takes_s = length / programmed
-    short = (ahead >= _FEW[0]) & (ahead <= _FEW[1]) & (takes_s < short_s)
-    slow_s = takes_s + 2.0 * (short_s - takes_s) / np.maximum(ahead, 1)
-    return np.where(short, length / np.where(short, slow_s, 1.0), programmed)
+    buffered_count = np.arange(first, first + len(length))
+    time_s = length / programmed
+    is_short = (buffered_count >= _FEW[0]) & (buffered_count <= _FEW[1]) & (time_s < short_s)
+    slowed_s = time_s + 2.0 * (short_s - time_s) / np.maximum(buffered_count, 1)
+    return np.where(is_short, length / np.where(is_short, slowed_s, 1.0), programmed)
 
 
 def whole_rates(moves: Moves, programmed: FloatArray, most: float, steps: FloatArray) -> FloatArray:
@@ -113,16 +113,18 @@ def whole_rates(moves: Moves, programmed: FloatArray, most: float, steps: FloatA
     """
     # As Marlin computes: a product that is a whole number may become one more.
     one = np.float32(1.0)
-    count = np.rint(moves.length * _per_length(moves, steps)).astype(np.float32)
+    step_count = np.rint(moves.length * _per_length(moves, steps)).astype(np.float32)
     inverse = one / moves.length.astype(np.float32)
-    allowed = np.stack([moves.speed, moves.acceleration])
-    slower = np.floor(allowed * _per_length(moves, steps) * (1.0 + _EXACT))
+    limits = np.stack([moves.speed, moves.acceleration])
+    limited_rates = np.floor(limits * _per_length(moves, steps) * (1.0 + _EXACT))
     with np.errstate(over="ignore", invalid="ignore"):
-        rate = np.ceil(count * (inverse * programmed.astype(np.float32)))
-        gain = np.ceil(np.float32(most) * (count * inverse))
+        rate = np.ceil(step_count * (inverse * programmed.astype(np.float32)))
+        gain = np.ceil(np.float32(most) * (step_count * inverse))
     goals = np.stack([programmed, np.full(len(moves), most)])
-    limited = allowed < goals * (1.0 - _ROUNDING)
-    return np.maximum(np.where(limited, slower, np.stack([rate, gain]).astype(float)), 1.0)
+    is_limited = limits < goals * (1.0 - _ROUNDING)
+    return np.maximum(
+        np.where(is_limited, limited_rates, np.stack([rate, gain]).astype(float)), 1.0
+    )
 
 
 def in_steps(
@@ -146,34 +148,40 @@ def in_steps(
     per_length = _per_length(moves, steps)
     count = np.maximum(np.rint(moves.length * per_length), 1.0)
     nominal, rate = rates
-    first, last = (np.maximum(np.rint(np.sqrt(v) * per_length), 1.0) for v in (enter, leave))
+    first_rate, last_rate = (
+        np.maximum(np.rint(np.sqrt(v) * per_length), 1.0) for v in (enter, leave)
+    )
     # As Marlin computes: a step more or less at the end may take long.
-    half = np.float32(0.5) * (np.float32(1.0) / rate.astype(np.float32))
-    square, *ends = (v.astype(np.float32) ** 2 for v in (nominal, first, last))
-    rises, falls = (half * (square - v) for v in ends)
+    half_inverse = np.float32(0.5) * (np.float32(1.0) / rate.astype(np.float32))
+    nominal2, *ends2 = (v.astype(np.float32) ** 2 for v in (nominal, first_rate, last_rate))
+    rise_steps, fall_steps = (half_inverse * (nominal2 - v) for v in ends2)
     whole = count.astype(np.float32)
-    up, down = np.maximum(np.ceil(rises), 0.0), np.ceil(falls)
-    short = count < up + down
-    up = np.where(short, np.floor(np.float32(0.5) * ((whole + rises) - falls) + 0.5), up)
-    up = np.clip(up.astype(float), 0.0, count)
-    down = np.where(short, count - up, np.clip(down, 0.0, count - up))
-    level = count - up - down
-    top = np.minimum(np.sqrt(first**2 + 2.0 * rate * up), nominal)
-    top = np.where(level > 0.0, nominal, np.maximum(top, 1.0))
-    first = np.minimum(first, top)
-    rising = 0.5 * (top**2 - first**2) / rate
-    level += np.maximum(up - rising, 0.0)
-    end = np.sqrt(np.maximum(top**2 - 2.0 * rate * down, np.minimum(last, top) ** 2))
+    steps_up, steps_down = np.maximum(np.ceil(rise_steps), 0.0), np.ceil(fall_steps)
+    is_short = count < steps_up + steps_down
+    steps_up = np.where(
+        is_short, np.floor(np.float32(0.5) * ((whole + rise_steps) - fall_steps) + 0.5), steps_up
+    )
+    steps_up = np.clip(steps_up.astype(float), 0.0, count)
+    steps_down = np.where(is_short, count - steps_up, np.clip(steps_down, 0.0, count - steps_up))
+    steps_level = count - steps_up - steps_down
+    top = np.minimum(np.sqrt(first_rate**2 + 2.0 * rate * steps_up), nominal)
+    top = np.where(steps_level > 0.0, nominal, np.maximum(top, 1.0))
+    first_rate = np.minimum(first_rate, top)
+    rising = 0.5 * (top**2 - first_rate**2) / rate
+    steps_level += np.maximum(steps_up - rising, 0.0)
+    end = np.sqrt(np.maximum(top**2 - 2.0 * rate * steps_down, np.minimum(last_rate, top) ** 2))
     falling = 0.5 * (top**2 - end**2) / rate
-    left = np.maximum(down - falling, 0.0)
+    steps_left = np.maximum(steps_down - falling, 0.0)
     zero = np.zeros(len(moves))
-    lengths = np.stack([rising, level, falling, left], axis=1)
-    way = lengths.sum(axis=1)
-    time_s = np.stack([(top - first) / rate, level / top, (top - end) / rate, left / end], axis=1)
+    lengths = np.stack([rising, steps_level, falling, steps_left], axis=1)
+    travelled = lengths.sum(axis=1)
+    time_s = np.stack(
+        [(top - first_rate) / rate, steps_level / top, (top - end) / rate, steps_left / end], axis=1
+    )
     begin = np.concatenate((zero[:, None], np.cumsum(lengths, axis=1)[:, :-1]), axis=1)
-    speed = np.stack([first, top, top, end], axis=1)
+    speed = np.stack([first_rate, top, top, end], axis=1)
     bend = np.stack([rate, zero, -rate, zero], axis=1)
-    return time_s, *(one / way[:, None] for one in (begin, speed, bend))
+    return time_s, *(one / travelled[:, None] for one in (begin, speed, bend))
 
 
 def _per_length(moves: Moves, steps: FloatArray) -> FloatArray:

@@ -124,73 +124,120 @@ def link(moves, corners, blending, cut, takes, over):
         Whether the first move overlaps the previous one.
     """
     length, fastest, asked, acceleration, bow = moves
-    apart, plain, back, turns, theta, cosine, plane_rate, plane_speed, side, side_2 = corners
+    (
+        feed_meets_rapid,
+        only_xyz,
+        reverses,
+        turns,
+        theta,
+        cosine,
+        plane_rate,
+        plane_speed,
+        side,
+        side_2,
+    ) = corners
     count = len(length)
     real = np.zeros((9, 2 * count))
     move, ends = np.zeros(2 * count, np.int64), np.zeros(2 * count, np.int64)
     radius, turn, lead, begin, extent = real[0], real[1], real[2], real[3], real[4]
     most, speed, rate, limit = real[5], real[6], real[7], real[8]
     first, overs = np.zeros(count, np.int64), np.zeros(count, np.int64)
-    cuts, taken = np.zeros(count), np.zeros(count)
-    usual = STOPS if blending.exact else OVERLAPS
-    able = np.minimum(fastest, (length - np.where(np.arange(count) == 0, cut, 0.0)) / CYCLE_S)
-    last = 0
+    cuts, shares_taken = np.zeros(count), np.zeros(count)
+    usual_end = STOPS if blending.exact else OVERLAPS
+    reachable = np.minimum(fastest, (length - np.where(np.arange(count) == 0, cut, 0.0)) / CYCLE_S)
+    last_piece = 0
     for i in range(count):
         if i > 0:
-            k, p = i - 1, last
-            way, top, takes, bend, distance, cut, angle = usual, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-            if apart[k] or (plain[k] and back[k]):
+            before, piece = i - 1, last_piece
+            way, top, takes, bend, distance, cut, angle = usual_end, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+            if feed_meets_rapid[before] or (only_xyz[before] and reverses[before]):
                 way = STOPS
-            elif plain[k]:
+            elif only_xyz[before]:
                 first_arm = Arm(
-                    extent[p], length[k], able[k], asked[k], acceleration[k], bow[k], side[k]
+                    extent[piece],
+                    length[before],
+                    reachable[before],
+                    asked[before],
+                    acceleration[before],
+                    bow[before],
+                    side[before],
                 )
                 second_arm = Arm(
-                    length[i], length[i], able[i], asked[i], acceleration[i], bow[i], side_2[k]
+                    length[i],
+                    length[i],
+                    reachable[i],
+                    asked[i],
+                    acceleration[i],
+                    bow[i],
+                    side_2[before],
                 )
                 way, top, takes, bend, distance, cut, angle = corner(
                     first_arm,
                     second_arm,
-                    taken[k],
-                    Corner(turns[k], theta[k], cosine[k], plane_rate[k], plane_speed[k]),
+                    shares_taken[before],
+                    Corner(
+                        turns[before],
+                        theta[before],
+                        cosine[before],
+                        plane_rate[before],
+                        plane_speed[before],
+                    ),
                     blending,
                 )
             # An overlap with a move in which a rotary axis turns does not count.
-            over = 1 if way == OVERLAPS and plain[k] else 0
-            rest = extent[p] - distance
-            swallows = way == BENDS and rest < _GAP * CYCLE_S * top
-            swallows = swallows and not overs[k] and bow[k] == 0.0
+            over = 1 if way == OVERLAPS and only_xyz[before] else 0
+            length_left = extent[piece] - distance
+            swallows = way == BENDS and length_left < _GAP * CYCLE_S * top
+            swallows = swallows and not overs[before] and bow[before] == 0.0
             if not swallows:
-                extent[p], ends[p], speed[p] = rest, GOES_ON if way == BENDS else way, asked[k]
-                half = 0.5 if overs[k] or way == OVERLAPS else 1.0
-                most[p], rate[p] = _along(
-                    min(able[k], rest / CYCLE_S),
-                    acceleration[k] * (1.0 - max(taken[k], takes)) * half,
-                    bow[k],
+                extent[piece], ends[piece], speed[piece] = (
+                    length_left,
+                    GOES_ON if way == BENDS else way,
+                    asked[before],
                 )
-                limit[p] = top if way == GOES_ON else np.inf
-                last += 1
+                half_factor = 0.5 if overs[before] or way == OVERLAPS else 1.0
+                most[piece], rate[piece] = _along(
+                    min(reachable[before], length_left / CYCLE_S),
+                    acceleration[before] * (1.0 - max(shares_taken[before], takes)) * half_factor,
+                    bow[before],
+                )
+                limit[piece] = top if way == GOES_ON else np.inf
+                last_piece += 1
             if way == BENDS:
-                begin[last] = begin[p] + (0.0 if swallows else rest)
-                move[last], ends[last], radius[last], turn[last] = k, GOES_ON, bend, angle
-                lead[last] = rest if swallows else 0.0
-                extent[last] = bend * angle + lead[last]
-                most[last] = min(top, extent[last] / CYCLE_S)
-                speed[last] = max(min(asked[k], able[k]), min(asked[i], able[i]))
-                rate[last], limit[last] = ALONG * plane_rate[k], np.inf
-                last += 1
-        cuts[i], taken[i], overs[i], first[i] = cut, takes, over, last
-        move[last], begin[last], extent[last], ends[last] = i, cut, length[i] - cut, usual
-        most[last], speed[last], limit[last] = able[i], asked[i], np.inf
-        half = 0.5 if over or not blending.exact else 1.0
-        rate[last] = acceleration[i] * (1.0 - takes) * half * (ALONG if bow[i] > 0.0 else 1.0)
-        radius[last], turn[last], lead[last] = 0.0, 0.0, 0.0
-    m = last + 1
-    most[:last] = np.minimum(most[:last], extent[:last] / (_LEAST * CYCLE_S))
+                begin[last_piece] = begin[piece] + (0.0 if swallows else length_left)
+                move[last_piece], ends[last_piece], radius[last_piece], turn[last_piece] = (
+                    before,
+                    GOES_ON,
+                    bend,
+                    angle,
+                )
+                lead[last_piece] = length_left if swallows else 0.0
+                extent[last_piece] = bend * angle + lead[last_piece]
+                most[last_piece] = min(top, extent[last_piece] / CYCLE_S)
+                speed[last_piece] = max(
+                    min(asked[before], reachable[before]), min(asked[i], reachable[i])
+                )
+                rate[last_piece], limit[last_piece] = ALONG * plane_rate[before], np.inf
+                last_piece += 1
+        cuts[i], shares_taken[i], overs[i], first[i] = cut, takes, over, last_piece
+        move[last_piece], begin[last_piece], extent[last_piece], ends[last_piece] = (
+            i,
+            cut,
+            length[i] - cut,
+            usual_end,
+        )
+        most[last_piece], speed[last_piece], limit[last_piece] = reachable[i], asked[i], np.inf
+        half_factor = 0.5 if over or not blending.exact else 1.0
+        rate[last_piece] = (
+            acceleration[i] * (1.0 - takes) * half_factor * (ALONG if bow[i] > 0.0 else 1.0)
+        )
+        radius[last_piece], turn[last_piece], lead[last_piece] = 0.0, 0.0, 0.0
+    m = last_piece + 1
+    most[:last_piece] = np.minimum(most[:last_piece], extent[:last_piece] / (_LEAST * CYCLE_S))
     speed[:m] = np.minimum(speed[:m], most[:m])
     return Links(
         move[:m], radius[:m], turn[:m], lead[:m], begin[:m], extent[:m], most[:m], speed[:m],
-        rate[:m], limit[:m], ends[:m], first, cuts, taken, overs,
+        rate[:m], limit[:m], ends[:m], first, cuts, shares_taken, overs,
     )  # fmt: skip
 
 
@@ -213,45 +260,53 @@ class _Curves(NamedTuple):
     def at(self, piece: IntArray, place: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return (r, axes) points and directions at (r,) distances along (r,) pieces."""
         radius, lead = self.radius[piece], self.lead[piece]
-        over = np.where(radius > 0.0, np.maximum(place - lead, 0.0), 0.0)
-        angle = (over / np.where(radius > 0.0, radius, 1.0))[:, None]
+        arc_length = np.where(radius > 0.0, np.maximum(place - lead, 0.0), 0.0)
+        angle = (arc_length / np.where(radius > 0.0, radius, 1.0))[:, None]
         ahead, aside = self.ahead[piece], self.aside[piece]
-        straight = (place - over)[:, None] * ahead
-        bent = radius[:, None] * (np.sin(angle) * ahead + (1.0 - np.cos(angle)) * aside)
+        straight = (place - arc_length)[:, None] * ahead
+        arc_part = radius[:, None] * (np.sin(angle) * ahead + (1.0 - np.cos(angle)) * aside)
         drift = self.drift[piece]
         return (
-            self.origin[piece] + straight + bent + place[:, None] * drift,
+            self.origin[piece] + straight + arc_part + place[:, None] * drift,
             np.cos(angle) * ahead + np.sin(angle) * aside + drift,
         )
 
 
 def _curves(links: Links, moves: Course) -> _Curves:
     """Return the pieces as curves."""
-    of = links.move
-    bow = moves.bow[of]
-    first, inward = moves.along[of], moves.inward[of]
+    move_of_piece = links.move
+    bow = moves.bow[move_of_piece]
+    first, inward = moves.along[move_of_piece], moves.inward[move_of_piece]
     angle = (links.begin / np.where(bow > 0.0, bow, 1.0) * (bow > 0.0))[:, None]
     straight = np.where(bow > 0.0, 0.0, links.begin)[:, None]
-    origin = moves.start[of] + straight * first
+    origin = moves.start[move_of_piece] + straight * first
     origin += bow[:, None] * (np.sin(angle) * first + (1.0 - np.cos(angle)) * inward)
     ahead = np.cos(angle) * first + np.sin(angle) * inward
     aside = np.cos(angle) * inward - np.sin(angle) * first
     corner = np.flatnonzero(links.radius > 0.0)
     if len(corner):
         # In the plane of the corner, across the direction in which the first move arrives.
-        arrives, leaves = moves.onward[of[corner]], moves.along[of[corner] + 1]
-        across = leaves - (leaves * arrives).sum(axis=1)[:, None] * arrives
+        arriving, leaving = (
+            moves.onward[move_of_piece[corner]],
+            moves.along[move_of_piece[corner] + 1],
+        )
+        across = leaving - (leaving * arriving).sum(axis=1)[:, None] * arriving
         across /= np.linalg.norm(across, axis=1)[:, None]
-        here = ahead[corner]
-        along, left = (here * arrives).sum(axis=1)[:, None], (here * across).sum(axis=1)[:, None]
-        aside[corner] = along * across - left * arrives
+        ahead_at_corner = ahead[corner]
+        along_share, across_share = (
+            (ahead_at_corner * arriving).sum(axis=1)[:, None],
+            (ahead_at_corner * across).sum(axis=1)[:, None],
+        )
+        aside[corner] = along_share * across - across_share * arriving
     radius = np.where(links.radius > 0.0, links.radius, bow)
     curves = _Curves(origin, ahead, aside, radius, links.lead, np.zeros_like(origin))
     # Rounded programs leave an arc a little beside the next move.
     arcs = np.flatnonzero(radius > 0.0)
-    stop = np.vstack([origin[1:], moves.start[of[-1:]] + moves.way[of[-1:]]])
-    gap = stop[arcs] - curves.at(arcs, links.extent[arcs])[0]
-    curves.drift[arcs] = gap / links.extent[arcs, None]
+    next_starts = np.vstack(
+        [origin[1:], moves.start[move_of_piece[-1:]] + moves.way[move_of_piece[-1:]]]
+    )
+    gaps = next_starts[arcs] - curves.at(arcs, links.extent[arcs])[0]
+    curves.drift[arcs] = gaps / links.extent[arcs, None]
     return curves
 
 
@@ -261,18 +316,18 @@ def polynomials(links: Links, moves: Course, piece: IntArray, row: FloatArray) -
     The polynomials are exact along lines, and match position and speed of an arc at both ends.
     """
     curves = _curves(links, moves)
-    following = np.flatnonzero(row[:, 4:].any(axis=1))
+    overlapping = np.flatnonzero(row[:, 4:].any(axis=1))
     parts = [_of_rows(curves, piece, row[:, 0], row[:, 1:4])]
-    if len(following):
-        after = piece[following] + 1
-        parts.append(_of_rows(curves, after, row[following, 0], row[following, 4:]))
-        parts[1][:, 0] -= curves.origin[after]
+    if len(overlapping):
+        next_piece = piece[overlapping] + 1
+        parts.append(_of_rows(curves, next_piece, row[overlapping, 0], row[overlapping, 4:]))
+        parts[1][:, 0] -= curves.origin[next_piece]
     order = max(part.shape[1] for part in parts)
-    found = np.zeros((len(row), order, moves.start.shape[1]))
-    found[:, : parts[0].shape[1]] = parts[0]
-    if len(following):
-        found[following, : parts[1].shape[1]] += parts[1]
-    return found
+    coefficients = np.zeros((len(row), order, moves.start.shape[1]))
+    coefficients[:, : parts[0].shape[1]] = parts[0]
+    if len(overlapping):
+        coefficients[overlapping, : parts[1].shape[1]] += parts[1]
+    return coefficients
 
 
 def _of_rows(
@@ -285,16 +340,16 @@ def _of_rows(
     place, speed, change = motion.T
     stop = place + speed * time_s + 0.5 * change * time_s**2
     point, direction = curves.at(piece, place)
-    bent = (curves.radius[piece] > 0.0) & (stop > curves.lead[piece] + _NEAR)
-    found = np.zeros((len(piece), 4 if bent.any() else 3, point.shape[1]))
-    found[:, 0] = point
-    found[:, 1] = direction * (speed * time_s)[:, None]
-    found[:, 2] = direction * (0.5 * change * time_s**2)[:, None]
-    if bent.any():
-        end, last = curves.at(piece[bent], stop[bent])
-        first = found[bent, 1]
-        last = last * ((speed + change * time_s) * time_s)[bent][:, None]
-        rise = end - point[bent]
-        found[bent, 2] = 3.0 * rise - 2.0 * first - last
-        found[bent, 3] = first + last - 2.0 * rise
-    return found
+    on_arc = (curves.radius[piece] > 0.0) & (stop > curves.lead[piece] + _NEAR)
+    coefficients = np.zeros((len(piece), 4 if on_arc.any() else 3, point.shape[1]))
+    coefficients[:, 0] = point
+    coefficients[:, 1] = direction * (speed * time_s)[:, None]
+    coefficients[:, 2] = direction * (0.5 * change * time_s**2)[:, None]
+    if on_arc.any():
+        end, end_rate = curves.at(piece[on_arc], stop[on_arc])
+        start_rate = coefficients[on_arc, 1]
+        end_rate = end_rate * ((speed + change * time_s) * time_s)[on_arc][:, None]
+        rise = end - point[on_arc]
+        coefficients[on_arc, 2] = 3.0 * rise - 2.0 * start_rate - end_rate
+        coefficients[on_arc, 3] = start_rate + end_rate - 2.0 * rise
+    return coefficients

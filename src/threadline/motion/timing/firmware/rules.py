@@ -39,12 +39,12 @@ def standing(
     begin_s: float, position: FloatArray, duration_s: float, operation: IntArray
 ) -> TrajectoryBlock:
     """Return a pause at (axes,) ``position``."""
-    held = np.zeros((1, 3, len(position)))
-    held[0, 0] = position
+    coefficients = np.zeros((1, 3, len(position)))
+    coefficients[0, 0] = position
     return TrajectoryBlock(
         start_s=np.array([begin_s]),
         duration_s=np.array([duration_s]),
-        coefficients=held,
+        coefficients=coefficients,
         operation=operation,
     )
 
@@ -136,25 +136,25 @@ def by_junction_deviation(
     arcs
         Whether short moves that bend by less than 45 degrees count as chords of an arc.
     """
-    before, after = moves.direction[:-1], moves.direction[1:]
-    cosine = -(before * after).sum(axis=1)
-    bend = after - before
-    size = np.linalg.norm(bend, axis=1)
-    size[size == 0.0] = 1.0
+    direction_before, direction_after = moves.direction[:-1], moves.direction[1:]
+    cosine = -(direction_before * direction_after).sum(axis=1)
+    bend = direction_after - direction_before
+    change = np.linalg.norm(bend, axis=1)
+    change[change == 0.0] = 1.0
     limit = np.full(len(bend), np.inf) if most is None else most[1:]
     if acceleration is not None:
-        limit = np.minimum(limit, along_axes(acceleration, bend / size[:, None]))
+        limit = np.minimum(limit, along_axes(acceleration, bend / change[:, None]))
     # Marlin clamps the cosine at -1; grbl accepts any speed there.
-    half = np.sqrt(0.5 * (1.0 - np.clip(cosine, -_STRAIGHT, 1.0)))
-    square = limit * deviation * half / (1.0 - half)
+    half_sine = np.sqrt(0.5 * (1.0 - np.clip(cosine, -_STRAIGHT, 1.0)))
+    speed2 = limit * deviation * half_sine / (1.0 - half_sine)
     if most is None:
-        square[cosine < -_STRAIGHT] = np.inf
+        speed2[cosine < -_STRAIGHT] = np.inf
     if arcs:
-        short = (moves.length[1:] < _SMALL) & (cosine < _OCTAGON)
+        is_short = (moves.length[1:] < _SMALL) & (cosine < _OCTAGON)
         angle = _arc_cosine(np.clip(-cosine, 0.0, _STRAIGHT))
-        square = np.where(short, np.minimum(square, moves.length[1:] * limit / angle), square)
-    square[cosine > _STRAIGHT] = 0.0
-    return np.asarray(square)
+        speed2 = np.where(is_short, np.minimum(speed2, moves.length[1:] * limit / angle), speed2)
+    speed2[cosine > _STRAIGHT] = 0.0
+    return np.asarray(speed2)
 
 
 def _arc_cosine(cosine: FloatArray) -> FloatArray:
@@ -177,8 +177,10 @@ def by_jumps(moves: Moves, jumps: FloatArray) -> FloatArray:
     speed = moves.direction * moves.speed[:, None]
     shared = np.minimum(moves.speed[1:], moves.speed[:-1])
     change = shared[:, None] * (moves.direction[1:] - moves.direction[:-1])
-    first = along_axes(jumps, speed[:1])
-    share = np.concatenate((np.minimum(first, 1.0), np.minimum(along_axes(jumps, change), 1.0)))
+    first_share = along_axes(jumps, speed[:1])
+    share = np.concatenate(
+        (np.minimum(first_share, 1.0), np.minimum(along_axes(jumps, change), 1.0))
+    )
     return np.asarray((np.append(moves.speed[0], shared) * share) ** 2)
 
 
@@ -204,20 +206,20 @@ def by_square_corner(moves: Moves, plane: FloatArray) -> FloatArray:
     plane
         (axes,) 1 for X, Y, Z, whose angle counts, 0 for others.
     """
-    before, after = moves.direction[:-1] * plane, moves.direction[1:] * plane
-    cosine = -(before * after).sum(axis=1)
-    half = np.sqrt(np.maximum(0.5 * (1.0 - cosine), 0.0))
-    other = np.sqrt(np.maximum(0.5 * (1.0 + cosine), 0.0))
-    bends = (half < 1.0) & (other > 0.0)
-    safe_half, safe_other = np.where(bends, half, 0.0), np.where(bends, other, 1.0)
+    direction_before, direction_after = moves.direction[:-1] * plane, moves.direction[1:] * plane
+    cosine = -(direction_before * direction_after).sum(axis=1)
+    half_sine = np.sqrt(np.maximum(0.5 * (1.0 - cosine), 0.0))
+    half_cosine = np.sqrt(np.maximum(0.5 * (1.0 + cosine), 0.0))
+    bends = (half_sine < 1.0) & (half_cosine > 0.0)
+    safe_sine, safe_cosine = np.where(bends, half_sine, 0.0), np.where(bends, half_cosine, 1.0)
     # The deviation of a circle that passes 90 degrees at that speed is v^2 (sqrt 2 - 1) / a: the
     # acceleration cancels if it is the same for all moves, and counts if it is less.
-    radius = safe_half / (1.0 - safe_half) * (np.sqrt(2.0) - 1.0)
-    own = moves.acceleration / moves.most_acceleration * moves.corner_speed**2
-    square = radius * np.minimum(own[1:], own[:-1])
+    radius = safe_sine / (1.0 - safe_sine) * (np.sqrt(2.0) - 1.0)
+    corner_speed2 = moves.acceleration / moves.most_acceleration * moves.corner_speed**2
+    speed2 = radius * np.minimum(corner_speed2[1:], corner_speed2[:-1])
     gain = 2.0 * moves.acceleration * moves.length
-    square = np.minimum(square, 0.25 * safe_half / safe_other * np.minimum(gain[1:], gain[:-1]))
-    return np.asarray(np.where(bends, square, np.inf))
+    speed2 = np.minimum(speed2, 0.25 * safe_sine / safe_cosine * np.minimum(gain[1:], gain[:-1]))
+    return np.asarray(np.where(bends, speed2, np.inf))
 
 
 MM = 1e3  # firmwares count in mm and degrees
@@ -257,16 +259,16 @@ class Rules:
     @classmethod
     def of(cls, planner: FirmwarePlanner, machine: Machine, axes: tuple[str, ...]) -> Rules:
         """Return the rules of ``planner`` on ``axes`` of ``machine``."""
-        column = [machine.axis_names.index(axis) for axis in axes]
-        turns = np.array([axis in machine.rotary for axis in axes])
-        scale = np.where(turns, np.degrees(1.0), MM)
+        columns = [machine.axis_names.index(axis) for axis in axes]
+        is_rotary = np.array([axis in machine.rotary for axis in axes])
+        scale = np.where(is_rotary, np.degrees(1.0), MM)
         return cls(
             planner,
             axes,
             scale,
-            machine.velocity_limit[column] * scale,
-            machine.acceleration_limit[column] * scale,
-            machine.counts_per_unit[column] / scale,
+            machine.velocity_limit[columns] * scale,
+            machine.acceleration_limit[columns] * scale,
+            machine.counts_per_unit[columns] / scale,
         )
 
     def moves(
@@ -310,23 +312,23 @@ class Rules:
         """
         planner = self.planner
         assert isinstance(planner, KlipperPlanner)
-        own = np.array(
+        own_limits = np.array(
             [
                 planner.velocity.si, planner.acceleration.si, planner.square_corner_velocity.si,
                 planner.cruise_ratio,
             ]
         )  # fmt: skip
-        changed = np.full((len(length), len(own)), np.nan)
+        changed = np.full((len(length), len(own_limits)), np.nan)
         if self.limits is not None and operation is not None:
             changed = self.limits.at(operation)
-        top, most, corner, ratio = np.where(np.isnan(changed), own, changed).T
+        top, most, corner, ratio = np.where(np.isnan(changed), own_limits, changed).T
         top, most, corner = top * MM, most * MM, corner * MM
-        fastest = self._beyond(self.velocity, own[0] * MM, direction, changed[:, 0])
-        acceleration = self._beyond(self.acceleration, own[1] * MM, direction, changed[:, 1])
-        plain = (direction * self._plane != 0.0).any(axis=1)
-        fastest = np.where(plain, np.minimum(fastest, top), fastest)
-        alone = along_axes(self._of_axes(planner.alone), direction)
-        acceleration = np.minimum(acceleration, np.where(plain, most, alone))
+        fastest = self._beyond(self.velocity, own_limits[0] * MM, direction, changed[:, 0])
+        acceleration = self._beyond(self.acceleration, own_limits[1] * MM, direction, changed[:, 1])
+        moves_xyz = (direction * self._plane != 0.0).any(axis=1)
+        fastest = np.where(moves_xyz, np.minimum(fastest, top), fastest)
+        alone_limits = along_axes(self._of_axes(planner.alone), direction)
+        acceleration = np.minimum(acceleration, np.where(moves_xyz, most, alone_limits))
         with np.errstate(divide="ignore"):
             programmed = np.where(nominal_s > 0.0, length / nominal_s, np.inf)
         return Moves(
@@ -334,17 +336,19 @@ class Rules:
         )
 
     def _beyond(
-        self, limits: FloatArray, own: float, direction: FloatArray, changed: FloatArray
+        self, limits: FloatArray, own_limit: float, direction: FloatArray, changed: FloatArray
     ) -> FloatArray:
         """Return (n,) limits of the axes; X and Y do not count where the program sets a limit.
 
-        ``own`` is the limit of every move in Klipper's configuration; the limits of X and Y in the
-        machine file repeat it.
+        ``own_limit`` is the limit of every move in Klipper's configuration; the limits of X and Y
+        in the machine file repeat it.
         """
         all_axes = along_axes(limits, direction)
-        repeats = np.array([axis in "XY" for axis in self.axes]) & (limits >= own * (1.0 - 1e-9))
-        others = along_axes(np.where(repeats, np.inf, limits), direction)
-        return np.asarray(np.where(np.isnan(changed), all_axes, others))
+        repeats_own = np.array([axis in "XY" for axis in self.axes]) & (
+            limits >= own_limit * (1.0 - 1e-9)
+        )
+        other_axes = along_axes(np.where(repeats_own, np.inf, limits), direction)
+        return np.asarray(np.where(np.isnan(changed), all_axes, other_axes))
 
     @property
     def most_acceleration(self) -> float:
@@ -376,43 +380,43 @@ class Rules:
         if isinstance(planner, MarlinPlanner) and planner.jump:
             return by_jumps(moves, self._of_axes(planner.jump))
         if isinstance(planner, KlipperPlanner):
-            between = by_square_corner(moves, self._plane)
-            plain = (moves.direction * self._plane != 0.0).any(axis=1)
-            between = np.minimum(between, self._beside(moves))
-            between = np.where(plain[1:] & plain[:-1], between, 0.0)
+            corner2 = by_square_corner(moves, self._plane)
+            moves_xyz = (moves.direction * self._plane != 0.0).any(axis=1)
+            corner2 = np.minimum(corner2, self._beside(moves))
+            corner2 = np.where(moves_xyz[1:] & moves_xyz[:-1], corner2, 0.0)
         elif isinstance(planner, RepRapPlanner):
-            between = by_shared_speed(moves, self._of_axes(planner.jump))
+            corner2 = by_shared_speed(moves, self._of_axes(planner.jump))
             if not planner.joins_all:
-                across = self._across(moves.direction)
-                between = np.where(across[1:] == across[:-1], between, 0.0)
+                moves_bed = self._across(moves.direction)
+                corner2 = np.where(moves_bed[1:] == moves_bed[:-1], corner2, 0.0)
         elif isinstance(planner, GrblPlanner):
             deviation = planner.junction_deviation.si * MM
-            between = by_junction_deviation(moves, self.acceleration, deviation)
+            corner2 = by_junction_deviation(moves, self.acceleration, deviation)
         else:
             assert isinstance(planner, MarlinPlanner) and planner.junction_deviation is not None
-            between = by_junction_deviation(
+            corner2 = by_junction_deviation(
                 moves,
                 self.acceleration if planner.corner_axes else None,
                 planner.junction_deviation.si * MM,
                 most=moves.acceleration,
                 arcs=True,
             )
-        top = np.minimum(moves.speed[1:], moves.speed[:-1]) ** 2
-        return np.concatenate(([0.0], np.minimum(between, top)))
+        shared2 = np.minimum(moves.speed[1:], moves.speed[:-1]) ** 2
+        return np.concatenate(([0.0], np.minimum(corner2, shared2)))
 
-    def _of_axes(self, said: Mapping[str, Quantity], default: float = np.inf) -> FloatArray:
-        """Return the (axes,) values in ``said``; ``default`` for missing ones."""
+    def _of_axes(self, quantities: Mapping[str, Quantity], default: float = np.inf) -> FloatArray:
+        """Return the (axes,) values in ``quantities``; ``default`` for missing ones."""
         return np.array(
             [
-                said[axis].si * scale if axis in said else default
+                quantities[axis].si * scale if axis in quantities else default
                 for axis, scale in zip(self.axes, self.scale, strict=True)
             ]
         )
 
     def _across(self, direction: FloatArray) -> NDArray[np.bool_]:
         """Return (n,) whether X or Y takes part in each move."""
-        bed = np.array([axis in "XY" for axis in self.axes])
-        return np.asarray((direction[:, bed] != 0.0).any(axis=1))
+        bed_axes = np.array([axis in "XY" for axis in self.axes])
+        return np.asarray((direction[:, bed_axes] != 0.0).any(axis=1))
 
     @property
     def _plane(self) -> FloatArray:
@@ -442,10 +446,10 @@ class Rules:
         way = way * self.scale
         if isinstance(self.planner, GrblPlanner):
             return np.asarray(np.linalg.norm(way, axis=1))
-        found = np.zeros(len(way))
+        length_found = np.zeros(len(way))
         for group in self._counted:
-            column = [axis in group for axis in self.axes]
-            here = np.linalg.norm(way[:, column], axis=1)
-            found = np.where(found > 0.0, found, here)
+            columns = [axis in group for axis in self.axes]
+            group_length = np.linalg.norm(way[:, columns], axis=1)
+            length_found = np.where(length_found > 0.0, length_found, group_length)
         # Klipper: a move of other axes only is as long as the longest of them.
-        return np.where(found > 0.0, found, np.abs(way).max(axis=1))
+        return np.where(length_found > 0.0, length_found, np.abs(way).max(axis=1))

@@ -82,8 +82,8 @@ class _Run(MovesInHand):
         gain = 2.0 * moves.acceleration * moves.length
         planner = self.rules.planner
         if isinstance(planner, KlipperPlanner):
-            slow = (1.0 - moves.cruise_ratio) * moves.most_acceleration
-            smooth = np.minimum(2.0 * slow * moves.length, gain)
+            smooth_acceleration = (1.0 - moves.cruise_ratio) * moves.most_acceleration
+            smooth = np.minimum(2.0 * smooth_acceleration * moves.length, gain)
             enter, leave, peak, fixed, first, second = speeds_with_cruise(
                 most, moves.speed**2, gain, smooth, self.speed, self.smooth, self.cruise
             )
@@ -94,15 +94,15 @@ class _Run(MovesInHand):
             peak = np.minimum(moves.speed**2, 0.5 * (enter + leave + gain))
             fixed = len(moves) - planner.look_ahead
             first = second = ends_at
-        out = len(moves) if ends else min(fixed, len(moves) - 1)
-        if out <= 0:
+        settled_count = len(moves) if ends else min(fixed, len(moves) - 1)
+        if settled_count <= 0:
             return
-        yield from self._trapezoids(moves, enter, leave, peak, out)
+        yield from self._trapezoids(moves, enter, leave, peak, settled_count)
         self.begun = True
-        if out < len(moves):
-            self.speed, self.smooth = float(first[out]), float(second[out])
-        self.cruise = float(peak[out - 1])
-        self._keep(out)
+        if settled_count < len(moves):
+            self.speed, self.smooth = float(first[settled_count]), float(second[settled_count])
+        self.cruise = float(peak[settled_count - 1])
+        self._keep(settled_count)
 
     def _ends_at(
         self,
@@ -125,20 +125,23 @@ class _Run(MovesInHand):
         rows = slice(0, count)
         length, rate = moves.length[rows], moves.acceleration[rows]
         v0, v1, top = (np.sqrt(v[rows]) for v in (enter, leave, peak))
-        up = (peak[rows] - enter[rows]) / (2.0 * rate)
-        down = (peak[rows] - leave[rows]) / (2.0 * rate)
-        level = np.maximum(length - up - down, 0.0)
+        length_up = (peak[rows] - enter[rows]) / (2.0 * rate)
+        length_down = (peak[rows] - leave[rows]) / (2.0 * rate)
+        length_level = np.maximum(length - length_up - length_down, 0.0)
         with np.errstate(invalid="ignore", divide="ignore"):
             time_s = np.stack(
                 [
-                    np.where(up > 0.0, (top - v0) / rate, 0.0),
-                    np.where(level > 0.0, level / top, 0.0),
-                    np.where(down > 0.0, (top - v1) / rate, 0.0),
+                    np.where(length_up > 0.0, (top - v0) / rate, 0.0),
+                    np.where(length_level > 0.0, length_level / top, 0.0),
+                    np.where(length_down > 0.0, (top - v1) / rate, 0.0),
                 ],
                 axis=1,
             )
         # Along the move, as shares of its length: start of each part, its speed and acceleration.
-        ends = np.stack([np.zeros(count), up, up + level], axis=1) / length[:, None]
+        ends = (
+            np.stack([np.zeros(count), length_up, length_up + length_level], axis=1)
+            / length[:, None]
+        )
         speed = np.stack([v0, top, top], axis=1) / length[:, None]
         bend = np.stack([rate, np.zeros(count), -rate], axis=1) / length[:, None]
         yield self._parts(time_s, ends, speed, bend)
@@ -156,9 +159,9 @@ class _Run(MovesInHand):
             (n, k) start of each, its speed there and its acceleration, as shares of the length.
         """
         rows = slice(0, len(time_s))
-        way, start = self.way[0][rows], self.start[0][rows]
+        displacement, start = self.way[0][rows], self.start[0][rows]
         shares = np.stack([begin, speed * time_s, 0.5 * bend * time_s**2], axis=2)
-        coefficients = shares[:, :, :, None] * way[:, None, None, :]
+        coefficients = shares[:, :, :, None] * displacement[:, None, None, :]
         coefficients[:, :, 0] += start[:, None]
         return self._timed(time_s, coefficients, self.operation[0][rows])
 
@@ -182,35 +185,45 @@ class _MarlinRun(_Run):
     rates: FloatArray = field(default_factory=lambda: np.zeros((2, 0)))
 
     def _made(self, taken: Taken, ends: bool) -> Taken:
-        start, way, nominal_s, operation = taken
+        start, displacement, nominal_s, operation = taken
         if self.held is not None:
             start = np.concatenate((self.held[0], start))
-            way = np.concatenate((self.held[1], way))
+            displacement = np.concatenate((self.held[1], displacement))
             nominal_s = np.concatenate((self.held[2], nominal_s))
             operation = np.concatenate((self.held[3], operation))
             self.held = None
-        if self.rules.steps is None or not len(way):
-            return start, way, nominal_s, operation
-        ends_at, steps = start + way, self.rules.scale * self.rules.steps
-        kept = kept_moves(ends_at * steps, start[0] * steps, last=ends)
-        wait = len(kept) - int(kept[::-1].argmax()) if kept.any() else 0
-        if wait < len(kept):
-            self.held = start[wait:], way[wait:], nominal_s[wait:], operation[wait:]
-        begin = np.concatenate((start[:1], ends_at[kept]))[: kept.sum()]
-        own = self.rules.length(way[kept])
-        way = ends_at[kept] - begin
-        nominal_s = nominal_s[kept] * self.rules.length(way) / own
-        goes = way.any(axis=1)  # nothing is left if all waiting moves cancel out
-        return begin[goes], way[goes], nominal_s[goes], operation[kept][goes]
+        if self.rules.steps is None or not len(displacement):
+            return start, displacement, nominal_s, operation
+        ends_at, steps = start + displacement, self.rules.scale * self.rules.steps
+        is_kept = kept_moves(ends_at * steps, start[0] * steps, last=ends)
+        waiting_count = len(is_kept) - int(is_kept[::-1].argmax()) if is_kept.any() else 0
+        if waiting_count < len(is_kept):
+            self.held = (
+                start[waiting_count:],
+                displacement[waiting_count:],
+                nominal_s[waiting_count:],
+                operation[waiting_count:],
+            )
+        begin = np.concatenate((start[:1], ends_at[is_kept]))[: is_kept.sum()]
+        lengths_before = self.rules.length(displacement[is_kept])
+        displacement = ends_at[is_kept] - begin
+        nominal_s = nominal_s[is_kept] * self.rules.length(displacement) / lengths_before
+        is_moving = displacement.any(axis=1)  # nothing is left if all waiting moves cancel out
+        return (
+            begin[is_moving],
+            displacement[is_moving],
+            nominal_s[is_moving],
+            operation[is_kept][is_moving],
+        )
 
     def _counted(self) -> tuple[Moves, FloatArray]:
-        way, nominal_s, steps = self.way[0], self.nominal_s[0], self.rules.steps
+        displacement, nominal_s, steps = self.way[0], self.nominal_s[0], self.rules.steps
         if steps is None:
             return super(_MarlinRun, self)._counted()
         scale = self.rules.scale
-        whole = whole_steps(self.start[0] * scale, way * scale, steps) / scale
-        nominal_s = nominal_s * self.rules.length(whole) / self.rules.length(way)
-        moves = self.rules.moves(whole, nominal_s)
+        whole_moves = whole_steps(self.start[0] * scale, displacement * scale, steps) / scale
+        nominal_s = nominal_s * self.rules.length(whole_moves) / self.rules.length(displacement)
+        moves = self.rules.moves(whole_moves, nominal_s)
         with np.errstate(divide="ignore"):
             programmed = np.where(nominal_s > 0.0, moves.length / nominal_s, np.inf)
         programmed = held_back(

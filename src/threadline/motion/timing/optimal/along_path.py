@@ -56,8 +56,8 @@ class AlongPath:
 
     def named(self, key: str) -> float:
         """Return the limit for a key of ``[path]`` in a machine file."""
-        own = getattr(self, key)
-        return self.acceleration if own is None else float(own)
+        limit = getattr(self, key)
+        return self.acceleration if limit is None else float(limit)
 
     @property
     def asks_for_rests(self) -> bool:
@@ -87,54 +87,56 @@ def divided(run: PieceBlock) -> PieceBlock:
     """Return the pieces with each curved one cut into equal parts."""
     straight = ~run.coefficients[:, 2:].any(axis=(1, 2))
     parts = np.where(straight, 1, _PARTS)
-    which = np.repeat(np.arange(len(run)), parts)
-    count = parts[which].astype(np.float64)
-    first = np.arange(len(which)) - np.repeat(np.cumsum(parts) - parts, parts)
-    ends = first == parts[which] - 1
+    piece = np.repeat(np.arange(len(run)), parts)
+    count = parts[piece].astype(np.float64)
+    part = np.arange(len(piece)) - np.repeat(np.cumsum(parts) - parts, parts)
+    is_last = part == parts[piece] - 1
     return PieceBlock(
-        coefficients=restricted(run.coefficients[which], first / count, 1.0 / count),
-        operation=run.operation[which],
-        nominal_s=run.nominal_s[which] / count,
-        rest_after=np.where(ends, run.rest_after[which], 0),
-        dwell_s=np.where(ends, run.dwell_s[which], 0.0),
-        line=run.line[which],
+        coefficients=restricted(run.coefficients[piece], part / count, 1.0 / count),
+        operation=run.operation[piece],
+        nominal_s=run.nominal_s[piece] / count,
+        rest_after=np.where(is_last, run.rest_after[piece], 0),
+        dwell_s=np.where(is_last, run.dwell_s[piece], 0.0),
+        line=run.line[piece],
     )
 
 
 def with_length(c: FloatArray, radius_m: FloatArray) -> FloatArray:
     """Return (n, 6, axes + 1): pieces with the travelled path length as their last axis."""
     n, order, axes = c.shape
-    at_tool = c * radius_m
+    at_tool_m = c * radius_m
     powers = np.arange(1, order)
-    way = np.zeros(n)
+    length_m = np.zeros(n)
     for node, weight in zip(_NODES.tolist(), _WEIGHTS.tolist(), strict=True):
-        way += weight * _norm_along_path(_at(at_tool[:, 1:] * powers[:, None], node))
-    first = at_tool[:, 1:] * powers[:, None]
+        length_m += weight * _norm_along_path(_at(at_tool_m[:, 1:] * powers[:, None], node))
+    first = at_tool_m[:, 1:] * powers[:, None]
     second = first[:, 1:] * powers[: order - 2, None]
     ends = []
     for u in (0.0, 1.0):
-        rate, bend = _at(first, u), _at(second, u)
-        size = _norm_along_path(rate)
-        along = np.divide((rate * bend).sum(axis=1), size, out=np.zeros(n), where=size > 0.0)
-        ends.append((size, along))
+        rate, second_rate = _at(first, u), _at(second, u)
+        speed = _norm_along_path(rate)
+        acceleration_along = np.divide(
+            (rate * second_rate).sum(axis=1), speed, out=np.zeros(n), where=speed > 0.0
+        )
+        ends.append((speed, acceleration_along))
     (v0, a0), (v1, a1) = ends
-    gone, slope, turn = way - v0 - 0.5 * a0, v1 - v0 - a0, a1 - a0
-    out = np.zeros((n, 6, axes + 1))
-    out[:, :order, :axes] = c
-    out[:, :, axes] = np.stack(
+    rise_rest, velocity_rest, acceleration_rest = length_m - v0 - 0.5 * a0, v1 - v0 - a0, a1 - a0
+    extended = np.zeros((n, 6, axes + 1))
+    extended[:, :order, :axes] = c
+    extended[:, :, axes] = np.stack(
         [
-            np.cumsum(way) - way,
+            np.cumsum(length_m) - length_m,
             v0,
             0.5 * a0,
-            10.0 * gone - 4.0 * slope + 0.5 * turn,
-            -15.0 * gone + 7.0 * slope - turn,
-            6.0 * gone - 3.0 * slope + 0.5 * turn,
+            10.0 * rise_rest - 4.0 * velocity_rest + 0.5 * acceleration_rest,
+            -15.0 * rise_rest + 7.0 * velocity_rest - acceleration_rest,
+            6.0 * rise_rest - 3.0 * velocity_rest + 0.5 * acceleration_rest,
         ],
         axis=1,
     )
     straight = ~c[:, 2:].any(axis=(1, 2))
-    out[straight, 2:, axes] = 0.0
-    return out
+    extended[straight, 2:, axes] = 0.0
+    return extended
 
 
 def across(c: FloatArray) -> FloatArray:
@@ -148,8 +150,8 @@ def across(c: FloatArray) -> FloatArray:
     # A curve at rest at its end is reversed.
     size = np.abs(ends).max(axis=(1, 2))
     closes = np.abs(ends.sum(axis=1)).max(axis=1) <= _STRAIGHT * size
-    back = restricted(c, np.ones(len(c)), -np.ones(len(c)))
-    c = np.where(closes[:, None, None], back, c)
+    reversed_c = restricted(c, np.ones(len(c)), -np.ones(len(c)))
+    c = np.where(closes[:, None, None], reversed_c, c)
     first = c[:, 1:] * powers[:, None]
     opens = np.abs(first[:, :2]).max(axis=(1, 2)) <= _STRAIGHT * size
     second = np.zeros_like(first)
@@ -157,20 +159,22 @@ def across(c: FloatArray) -> FloatArray:
     # At rest q_u is u^2 r: 2/u of it is a polynomial, and is along the path.
     second[opens, : order - 2] -= 2.0 * first[opens, 1:]
     second[opens, 0] = 0.0
-    along = []
+    along_ratios = []
     for u in (0.0, 1.0):
         # Beside a rest use r instead of q_u: u^2 less in both keeps their ratio.
-        rate, bend = _at(first, u), _at(second, u)
+        rate, second_rate = _at(first, u), _at(second, u)
         if u == 0.0 and opens.any() and order > 3:
-            rate[opens], bend[opens] = first[opens, 2], second[opens, 2]
-        squared = (rate**2).sum(axis=1)
-        along.append(
-            np.divide((rate * bend).sum(axis=1), squared, out=np.zeros(len(c)), where=squared > 0.0)
+            rate[opens], second_rate[opens] = first[opens, 2], second[opens, 2]
+        speed2 = (rate**2).sum(axis=1)
+        along_ratios.append(
+            np.divide(
+                (rate * second_rate).sum(axis=1), speed2, out=np.zeros(len(c)), where=speed2 > 0.0
+            )
         )
-    rest = np.zeros((len(c), order, c.shape[2]))
-    rest[:, :-1] = second - along[0][:, None, None] * first
-    rest[:, 1:] -= (along[1] - along[0])[:, None, None] * first
-    flat = np.moveaxis(rest, 1, 0).reshape(order, -1)
+    across_part = np.zeros((len(c), order, c.shape[2]))
+    across_part[:, :-1] = second - along_ratios[0][:, None, None] * first
+    across_part[:, 1:] -= (along_ratios[1] - along_ratios[0])[:, None, None] * first
+    flat = np.moveaxis(across_part, 1, 0).reshape(order, -1)
     bound = np.sqrt((hull_of(flat).reshape(order, len(c), -1) ** 2).sum(axis=2)).max(axis=0)
     bound[_on_one_line(first)] = 0.0
     return np.asarray(bound)
@@ -183,22 +187,22 @@ def true_shares(
 
     ``coefficients`` (n, order, axes) are polynomials over [0, 1] of their times.
     """
-    own, worst = coefficients * limits.radius_m, [0.0, 0.0, 0.0]
-    orders = [own]
+    at_tool_m, worst = coefficients * limits.radius_m, [0.0, 0.0, 0.0]
+    orders = [at_tool_m]
     for _ in range(3):
-        last = orders[-1]
-        orders.append(last[:, 1:] * np.arange(1.0, last.shape[1])[:, None])
+        previous = orders[-1]
+        orders.append(previous[:, 1:] * np.arange(1.0, previous.shape[1])[:, None])
     for place in _PLACES.tolist():
         v, a, j = (
             _at(orders[k], place) / duration_s[:, None] ** k for k in (1, 2, 3)
         )  # fmt: skip
         speed = _norm_along_path(v)
-        fast = speed > 1e-3 * speed.max(initial=0.0)
-        tangent = np.divide(v, speed[:, None], out=np.zeros_like(v), where=fast[:, None])
+        is_moving = speed > 1e-3 * speed.max(initial=0.0)
+        tangent = np.divide(v, speed[:, None], out=np.zeros_like(v), where=is_moving[:, None])
         push = (tangent * a).sum(axis=1)
-        squared = np.maximum((a**2).sum(axis=1) - push**2, 0.0)
+        across2 = np.maximum((a**2).sum(axis=1) - push**2, 0.0)
         jerk = (tangent * j).sum(axis=1)
-        jerk += np.divide(squared, speed, out=np.zeros_like(speed), where=fast)
+        jerk += np.divide(across2, speed, out=np.zeros_like(speed), where=is_moving)
         up, down = limits.sides
         for k, share in enumerate(
             (speed / limits.velocity, np.maximum(push / up, -push / down), jerk / limits.jerk)
@@ -209,17 +213,17 @@ def true_shares(
 
 def _on_one_line(first: FloatArray) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
     """Return for (n, order, axes) derivatives whether all coefficients have one direction."""
-    most = np.abs(first).max(axis=2).argmax(axis=1)
-    lead = first[np.arange(len(first)), most]
-    squared = (lead**2).sum(axis=1)
+    largest_index = np.abs(first).max(axis=2).argmax(axis=1)
+    lead = first[np.arange(len(first)), largest_index]
+    lead2 = (lead**2).sum(axis=1)
     share = np.divide(
         (first * lead[:, None]).sum(axis=2),
-        squared[:, None],
+        lead2[:, None],
         out=np.zeros(first.shape[:2]),
-        where=squared[:, None] > 0.0,
+        where=lead2[:, None] > 0.0,
     )
-    beside = np.abs(first - share[:, :, None] * lead[:, None]).max(axis=(1, 2))
-    return np.asarray(beside <= _STRAIGHT * np.sqrt(squared))
+    off_line = np.abs(first - share[:, :, None] * lead[:, None]).max(axis=(1, 2))
+    return np.asarray(off_line <= _STRAIGHT * np.sqrt(lead2))
 
 
 def _at(poly: FloatArray, place: float) -> FloatArray:
@@ -277,7 +281,7 @@ def along_shares(
     push = (along * a).sum(axis=1)
     across = np.where(moving, _norm_of_shares(a - push[:, None] * along), 0.0)
     # The travelled path length has the derivatives v, t a and t j + |a across|^2 / v.
-    bent = np.divide(across**2, speed, out=np.zeros_like(speed), where=moving)
+    turning_jerk = np.divide(across**2, speed, out=np.zeros_like(speed), where=moving)
     up, down = limits.sides
     return {
         name: np.asarray(share)
@@ -285,7 +289,7 @@ def along_shares(
             ("velocity", speed / limits.velocity, limits.velocity),
             ("acceleration", np.maximum(push, 0.0) / up, up),
             ("deceleration", np.maximum(-push, 0.0) / down, down),
-            ("jerk", np.abs((along * j).sum(axis=1) + bent) / limits.jerk, limits.jerk),
+            ("jerk", np.abs((along * j).sum(axis=1) + turning_jerk) / limits.jerk, limits.jerk),
             ("centripetal", across / limits.centripetal, limits.centripetal),
         )
         if np.isfinite(limit)
@@ -298,8 +302,8 @@ def path_use(trajectory: Trajectory, limits: AlongPath) -> PathUse | None:
     for block in trajectory:
         rates = [block.coefficients]
         for _ in range(3):
-            last = rates[-1]
-            rates.append(last[:, 1:] * np.arange(1.0, last.shape[1])[:, None])
+            previous = rates[-1]
+            rates.append(previous[:, 1:] * np.arange(1.0, previous.shape[1])[:, None])
         powers = [_PLACES[:, None] ** np.arange(rate.shape[1]) for rate in rates]
         time_s = block.duration_s[:, None, None]
         v, a, j = (
@@ -309,15 +313,15 @@ def path_use(trajectory: Trajectory, limits: AlongPath) -> PathUse | None:
             for k in (1, 2, 3)
         )
         for name, share in along_shares(v, a, j, limits).items():
-            at = int(np.argmax(share))
-            if worst is None or share[at] > worst.share:
-                piece, place = divmod(at, len(_PLACES))
-                lasted = _PLACES[place] * block.duration_s[piece]
+            worst_index = int(np.argmax(share))
+            if worst is None or share[worst_index] > worst.share:
+                piece, place = divmod(worst_index, len(_PLACES))
+                piece_time_s = _PLACES[place] * block.duration_s[piece]
                 worst = PathUse(
                     quantity=name,
-                    share=float(share[at]),
+                    share=float(share[worst_index]),
                     limit_si=limits.named(name),
-                    time_s=float(block.start_s[piece] + lasted),
+                    time_s=float(block.start_s[piece] + piece_time_s),
                     operation=int(block.operation[piece]),
                 )
     return worst

@@ -27,16 +27,16 @@ _NEAR = 0.9  # of the distance to the nearest limit
 def maps(length, i):
     """Return the five weights that map b[i : i + 3] to y0, y1, y2 of element i."""
     n = len(length)
-    before = length[i - 1] if i > 0 else 0.0
-    after = length[i + 1] if i < n - 1 else 0.0
+    h_before = length[i - 1] if i > 0 else 0.0
+    h_after = length[i + 1] if i < n - 1 else 0.0
     h = length[i]
     q = 1.0 / (h * h)
     return (
-        h / (before + h) * q,
-        before / (before + h) * q,
+        h / (h_before + h) * q,
+        h_before / (h_before + h) * q,
         q,
-        after / (h + after) * q,
-        h / (h + after) * q,
+        h_after / (h + h_after) * q,
+        h / (h + h_after) * q,
     )
 
 
@@ -81,12 +81,19 @@ def derivatives(b, length, rows, tangent, weight):
         g0, h00 = _of_time(y0, top[i], weight)
         g1, h11 = _of_time(y1, top[i], weight)
         g2, h22 = _of_time(y2, top[i], weight)
-        of = g0, g1 - weight / y1, g2, h00, 0.0, 0.0, h11 + weight / (y1 * y1), 0.0, h22
+        sums = g0, g1 - weight / y1, g2, h00, 0.0, 0.0, h11 + weight / (y1 * y1), 0.0, h22
         for k in range(count[i, 0]):
             r0, r1, r2 = acc[i, k, 0], acc[i, k, 1], acc[i, k, 2]
             v = r0 * y0 + r1 * y1 + r2 * y2
-            one, two = _inverses(1.0 - v, 1.0 + v)
-            of = _with(of, weight * (one - two), weight * (one * one + two * two), r0, r1, r2)
+            inverse_less, inverse_more = _inverses(1.0 - v, 1.0 + v)
+            sums = _with(
+                sums,
+                weight * (inverse_less - inverse_more),
+                weight * (inverse_less * inverse_less + inverse_more * inverse_more),
+                r0,
+                r1,
+                r2,
+            )
         t0, t1 = 1.5 * tangent[i], 0.5 * tangent[i] ** 3
         for k in range(count[i, 1]):
             r0, r1, r2 = jerk[i, k, 0], jerk[i, k, 1], jerk[i, k, 2]
@@ -94,16 +101,16 @@ def derivatives(b, length, rows, tangent, weight):
             w0, w1, w2 = t1 * w[0], t1 * w[1], t1 * w[2]
             v = r0 * y0 + r1 * y1 + r2 * y2
             room = t0 - t1 * (w[0] * y0 + w[1] * y1 + w[2] * y2)
-            one, two = _inverses(room - v, room + v)
-            one_part, two_part = weight * one, weight * two
-            of = _with(of, one_part, one_part * one, w0 + r0, w1 + r1, w2 + r2)
-            of = _with(of, two_part, two_part * two, w0 - r0, w1 - r1, w2 - r2)
+            inverse_less, inverse_more = _inverses(room - v, room + v)
+            less_part, more_part = weight * inverse_less, weight * inverse_more
+            sums = _with(sums, less_part, less_part * inverse_less, w0 + r0, w1 + r1, w2 + r2)
+            sums = _with(sums, more_part, more_part * inverse_more, w0 - r0, w1 - r1, w2 - r2)
         slope = 0.5 * tangent[i]
         for k in range(begin[i], begin[i + 1]):
             r, s = drive[k], room_of(drive[k], y0, y1, y2, tangent[i])
             d0, d1, d2 = r[0] + slope * r[3], r[1] + slope * r[4], r[2] + slope * r[5]
-            of = _with(of, weight / s, weight / s / s, d0, d1, d2)
-        g0, g1, g2, h00, h01, h02, h11, h12, h22 = of
+            sums = _with(sums, weight / s, weight / s / s, d0, d1, d2)
+        g0, g1, g2, h00, h01, h02, h11, h12, h22 = sums
         # From y to b: P' g and P' H P, where P has the weights in its columns (m00, 0, 0),
         # (m01, m11, m21) and (0, 0, m22).
         g[i] += m00 * g0
@@ -122,9 +129,9 @@ def derivatives(b, length, rows, tangent, weight):
 
 
 @njit()
-def _with(of, slope, bend, r0, r1, r2):
+def _with(sums, slope, bend, r0, r1, r2):
     """Return the gradient and the upper half of the matrix of one element with one more row."""
-    g0, g1, g2, h00, h01, h02, h11, h12, h22 = of
+    g0, g1, g2, h00, h01, h02, h11, h12, h22 = sums
     p0, p1, p2 = bend * r0, bend * r1, bend * r2
     return (
         g0 + slope * r0, g1 + slope * r1, g2 + slope * r2,
@@ -134,10 +141,10 @@ def _with(of, slope, bend, r0, r1, r2):
 
 
 @njit()
-def _inverses(one, other):
+def _inverses(first, second):
     """Return 1 / one and 1 / other with one division, which takes as long as twenty products."""
-    both = 1.0 / (one * other)
-    return other * both, one * both
+    inverse = 1.0 / (first * second)
+    return second * inverse, first * inverse
 
 
 @njit()
@@ -157,8 +164,8 @@ def _of_time(y, top, weight):
 def solved(matrix, g):
     """Return z of ``matrix z = -g`` by L D L'; entry (i, k) belongs to row i and column i + k."""
     z = np.empty(len(g))
-    one, two, d = _factors(matrix)
-    _substitute(one, two, d, g, z)
+    first_diagonal, second_diagonal, d = _factors(matrix)
+    _substitute(first_diagonal, second_diagonal, d, g, z)
     return z
 
 
@@ -166,17 +173,17 @@ def solved(matrix, g):
 def halved(matrix, rows):
     """Return ``rows L'^-1 D^-1/2`` of ``matrix = L D L'``: times its transpose, rows B^-1 rows'."""
     out = np.empty(rows.shape)
-    one, two, d = _factors(matrix)
+    first_diagonal, second_diagonal, d = _factors(matrix)
     root = 1.0 / np.sqrt(d)
     for r in range(len(rows)):
-        before, last = 0.0, 0.0
+        z_before, z_last = 0.0, 0.0
         for i in range(len(d)):
             v = rows[r, i]
             if i >= 1:
-                v -= one[i] * last
+                v -= first_diagonal[i] * z_last
             if i >= 2:
-                v -= two[i] * before
-            before, last = last, v
+                v -= second_diagonal[i] * z_before
+            z_before, z_last = z_last, v
             out[r, i] = v * root[i]
     return out
 
@@ -185,40 +192,40 @@ def halved(matrix, rows):
 def _factors(matrix):
     """Return the two diagonals of L and the diagonal of D."""
     size = len(matrix)
-    one, two, d = np.zeros(size), np.zeros(size), np.zeros(size)
+    first_diagonal, second_diagonal, d = np.zeros(size), np.zeros(size), np.zeros(size)
     for i in range(size):
         pivot = matrix[i, 0]
         if i >= 2:
-            two[i] = matrix[i - 2, 2] / d[i - 2]
-            pivot -= two[i] * two[i] * d[i - 2]
+            second_diagonal[i] = matrix[i - 2, 2] / d[i - 2]
+            pivot -= second_diagonal[i] * second_diagonal[i] * d[i - 2]
         if i >= 1:
-            side = matrix[i - 1, 1]
+            entry = matrix[i - 1, 1]
             if i >= 2:
-                side -= two[i] * d[i - 2] * one[i - 1]
-            one[i] = side / d[i - 1]
-            pivot -= one[i] * one[i] * d[i - 1]
+                entry -= second_diagonal[i] * d[i - 2] * first_diagonal[i - 1]
+            first_diagonal[i] = entry / d[i - 1]
+            pivot -= first_diagonal[i] * first_diagonal[i] * d[i - 1]
         # A pivot lost to rounding: that unknown stays unchanged in this step.
         d[i] = pivot if pivot > _LEAST_PIVOT * matrix[i, 0] else _HELD * matrix[i, 0]
-    return one, two, d
+    return first_diagonal, second_diagonal, d
 
 
 @njit()
-def _substitute(one, two, d, g, z):
+def _substitute(first_diagonal, second_diagonal, d, g, z):
     """Write the z of ``L D L' z = -g``."""
     size = len(g)
     for i in range(size):
         v = -g[i]
         if i >= 1:
-            v -= one[i] * z[i - 1]
+            v -= first_diagonal[i] * z[i - 1]
         if i >= 2:
-            v -= two[i] * z[i - 2]
+            v -= second_diagonal[i] * z[i - 2]
         z[i] = v
     for i in range(size - 1, -1, -1):
         v = z[i] / d[i]
         if i + 1 < size:
-            v -= one[i + 1] * z[i + 1]
+            v -= first_diagonal[i + 1] * z[i + 1]
         if i + 2 < size:
-            v -= two[i + 2] * z[i + 2]
+            v -= second_diagonal[i + 2] * z[i + 2]
         z[i] = v
 
 
@@ -257,19 +264,19 @@ def _far(b, step, length, rows, tangent, i):
     acc, jerk, points, count, top, drive, begin = rows
     y0, y1, y2 = values(b, length, i)
     d0, d1, d2 = values(step, length, i)
-    best = 1e300
+    largest_step = 1e300
     for y, dy in ((y0, d0), (y1, d1), (y2, d2)):
         if dy < 0.0:
-            best = min(best, -y / dy)
+            largest_step = min(largest_step, -y / dy)
         elif dy > 0.0 and top[i] < np.inf:
-            best = min(best, (top[i] - y) / dy)
+            largest_step = min(largest_step, (top[i] - y) / dy)
     for k in range(count[i, 0]):
         r0, r1, r2 = acc[i, k, 0], acc[i, k, 1], acc[i, k, 2]
         v = r0 * y0 + r1 * y1 + r2 * y2
         dv = r0 * d0 + r1 * d1 + r2 * d2
         room = 1.0 - v if dv > 0.0 else 1.0 + v
-        if (dv != 0.0) & (room < best * abs(dv)):
-            best = room / abs(dv)
+        if (dv != 0.0) & (room < largest_step * abs(dv)):
+            largest_step = room / abs(dv)
     t0, t1 = 1.5 * tangent[i], 0.5 * tangent[i] ** 3
     for k in range(count[i, 1]):
         r0, r1, r2 = jerk[i, k, 0], jerk[i, k, 1], jerk[i, k, 2]
@@ -277,18 +284,18 @@ def _far(b, step, length, rows, tangent, i):
         v = r0 * y0 + r1 * y1 + r2 * y2
         dv = r0 * d0 + r1 * d1 + r2 * d2
         room = t0 - t1 * (w[0] * y0 + w[1] * y1 + w[2] * y2)
-        less = t1 * (w[0] * d0 + w[1] * d1 + w[2] * d2)
-        if (dv + less > 0.0) & (room - v < best * (dv + less)):
-            best = (room - v) / (dv + less)
-        if (less - dv > 0.0) & (room + v < best * (less - dv)):
-            best = (room + v) / (less - dv)
+        right_change = t1 * (w[0] * d0 + w[1] * d1 + w[2] * d2)
+        if (dv + right_change > 0.0) & (room - v < largest_step * (dv + right_change)):
+            largest_step = (room - v) / (dv + right_change)
+        if (right_change - dv > 0.0) & (room + v < largest_step * (right_change - dv)):
+            largest_step = (room + v) / (right_change - dv)
     slope = 0.5 * tangent[i]
     for k in range(begin[i], begin[i + 1]):
         r = drive[k]
         dv = (r[0] + slope * r[3]) * d0 + (r[1] + slope * r[4]) * d1 + (r[2] + slope * r[5]) * d2
         if dv > 0.0:
-            best = min(best, room_of(r, y0, y1, y2, tangent[i]) / dv)
-    return best
+            largest_step = min(largest_step, room_of(r, y0, y1, y2, tangent[i]) / dv)
+    return largest_step
 
 
 @njit()
@@ -298,10 +305,10 @@ def advance(b, step, length, rows, tangent):
     If rounding has left no room to a limit, the share is not above 0 and b stays unchanged: a
     slack of -1e-16 over a change of 1e-30 would be a step of 1e14 backwards.
     """
-    best = 1e300
+    largest_step = 1e300
     for i in range(len(length)):
-        best = min(best, _far(b, step, length, rows, tangent, i))
-    share = min(1.0, _NEAR * best)
+        largest_step = min(largest_step, _far(b, step, length, rows, tangent, i))
+    share = min(1.0, _NEAR * largest_step)
     if share > 0.0:
         for k in range(len(b)):
             b[k] += share * step[k]

@@ -63,19 +63,19 @@ def binding(
     """
     time_s = np.linspace(0.0, trajectory.duration_s, SAMPLES)
     rates = [trajectory(time_s, order) for order in (1, 2, 3)]
-    own = axis_limits(machine, trajectory.axes, path.radius_m)
+    limits = axis_limits(machine, trajectory.axes, path.radius_m)
     shares: dict[str, FloatArray] = {}
     for kind, rate, limit in zip(
-        KINDS, rates, (own.velocity, own.acceleration, own.jerk), strict=False
+        KINDS, rates, (limits.velocity, limits.acceleration, limits.jerk), strict=False
     ):
         if np.isfinite(limit).any():
             shares[kind] = np.asarray((np.abs(rate) / limit).max(axis=1))
-    if own.deceleration is not None:
+    if limits.deceleration is not None:
         speeding = rates[0] * rates[1] > 0.0
-        limit = np.where(speeding, *own.sides)
+        limit = np.where(speeding, *limits.sides)
         shares["acceleration"] = np.asarray((np.abs(rates[1]) / limit).max(axis=1))
-    if own.along is not None:
-        for key, share in along_shares(rates[0], rates[1], rates[2], own.along).items():
+    if limits.along is not None:
+        for key, share in along_shares(rates[0], rates[1], rates[2], limits.along).items():
             kind = key if key in KINDS else "acceleration"
             shares[kind] = np.maximum(share, shares.get(kind, 0.0))
     commanded, winding, current = (
@@ -98,13 +98,13 @@ def binding(
 def _strayed(trajectory: Trajectory, follower: Follower, time_s: FloatArray) -> FloatArray:
     """Return the (n,) shares of the allowed contour error that a motion uses at (n,) times."""
     past = Past(follower.memory_s)
-    out = np.zeros(len(time_s))
+    shares = np.zeros(len(time_s))
     for block in trajectory:
         strays = follower.strays(past, block)
         inside = (time_s >= block.start_s[0]) & (time_s <= block.end_s)
-        out[inside] = np.maximum(out[inside], strays.worst(time_s[inside]))
+        shares[inside] = np.maximum(shares[inside], strays.worst(time_s[inside]))
         past.add(block)
-    return out
+    return shares
 
 
 def _feed(path: PlannedPath, time_s: FloatArray, speed: FloatArray) -> FloatArray | None:
@@ -112,18 +112,20 @@ def _feed(path: PlannedPath, time_s: FloatArray, speed: FloatArray) -> FloatArra
 
     The place on the path is found from the travelled length: pieces are followed in order.
     """
-    ends, feeds, gone = [np.zeros(1)], [], 0.0
+    ends, feeds, length_m = [np.zeros(1)], [], 0.0
     for block in path:
-        size = _lengths(block.coefficients, path.radius_m)
-        ends.append(gone + np.cumsum(size))
-        gone = float(ends[-1][-1])
-        feeds.append(size / np.where(block.nominal_s > 0.0, block.nominal_s, np.inf))
+        lengths_m = _lengths(block.coefficients, path.radius_m)
+        ends.append(length_m + np.cumsum(lengths_m))
+        length_m = float(ends[-1][-1])
+        feeds.append(lengths_m / np.where(block.nominal_s > 0.0, block.nominal_s, np.inf))
     feed = np.concatenate(feeds) if feeds else np.zeros(0)
     if not feed.any():
         return None
-    way = np.concatenate([[0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]) * np.diff(time_s))])
-    way *= gone / way[-1] if way[-1] > 0.0 else 1.0
-    piece = np.searchsorted(np.concatenate(ends), way, side="right") - 1
+    travelled_m = np.concatenate(
+        [[0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]) * np.diff(time_s))]
+    )
+    travelled_m *= length_m / travelled_m[-1] if travelled_m[-1] > 0.0 else 1.0
+    piece = np.searchsorted(np.concatenate(ends), travelled_m, side="right") - 1
     programmed = feed[np.clip(piece, 0, len(feed) - 1)]
     return np.asarray(
         np.divide(speed, programmed, out=np.zeros_like(speed), where=programmed > 0.0)

@@ -77,17 +77,17 @@ class Elements:
 
     def split(self, parts: IntArray) -> Elements:
         """Return the elements with each cut into (n,) ``parts`` equal parts."""
-        which = np.repeat(np.arange(len(self)), parts)
-        count = parts[which].astype(np.float64)
-        first = np.arange(len(which)) - np.repeat(np.cumsum(parts) - parts, parts)
-        begin, width = first / count, 1.0 / count
+        element = np.repeat(np.arange(len(self)), parts)
+        count = parts[element].astype(np.float64)
+        part = np.arange(len(element)) - np.repeat(np.cumsum(parts) - parts, parts)
+        begin, width = part / count, 1.0 / count
         return Elements(
-            c=restricted(self.c[which], begin, width),
-            length=self.length[which] / count,
-            cap=self.cap[which] * count**2,
-            operation=self.operation[which],
-            guard=restricted(self.guard[which], begin, width),
-            guard_cap=self.guard_cap[which] * count**2,
+            c=restricted(self.c[element], begin, width),
+            length=self.length[element] / count,
+            cap=self.cap[element] * count**2,
+            operation=self.operation[element],
+            guard=restricted(self.guard[element], begin, width),
+            guard_cap=self.guard_cap[element] * count**2,
         )
 
 
@@ -105,20 +105,20 @@ def join(parts: list[Elements]) -> Elements:
 
 def restricted(c: FloatArray, begin: FloatArray, width: FloatArray) -> FloatArray:
     """Return (n, order, axes) polynomials on [begin, begin + width] of each, again over [0, 1]."""
-    out = c.astype(np.float64, copy=True)
+    parts = c.astype(np.float64, copy=True)
     nothing = c == 0.0
     order = c.shape[1]
     # Horner's scheme in both directions shifts a polynomial.
     for low in range(order - 1):
         for k in range(order - 2, low - 1, -1):
-            out[:, k] += begin[:, None] * out[:, k + 1]
+            parts[:, k] += begin[:, None] * parts[:, k + 1]
     scale = np.ones(len(c))
     for k in range(1, order):
         scale = scale * width
-        out[:, k] *= scale[:, None]
+        parts[:, k] *= scale[:, None]
     # Powers that are zero on the whole are zero on a part of it.
-    out[:, 1:][np.logical_and.accumulate(nothing[:, :0:-1], axis=1)[:, ::-1]] = 0.0
-    return out
+    parts[:, 1:][np.logical_and.accumulate(nothing[:, :0:-1], axis=1)[:, ::-1]] = 0.0
+    return parts
 
 
 class RunPieces(NamedTuple):
@@ -167,12 +167,12 @@ def elements_of(
     """
     c, ratio, nominal_s, operation, length = pieces
     count, order, axes = c.shape
-    full = np.zeros((count, DEGREE + 1, axes))
-    full[:, :order] = c
+    padded = np.zeros((count, DEGREE + 1, axes))
+    padded[:, :order] = c
     with np.errstate(divide="ignore", over="ignore"):
         cap = np.where(nominal_s > 0.0, 1.0 / nominal_s**2, np.inf)
-    whole = Elements(
-        c=full,
+    uncut = Elements(
+        c=padded,
         length=length * np.concatenate([[1.0], np.cumprod(ratio)]),
         cap=cap,
         operation=operation,
@@ -180,21 +180,21 @@ def elements_of(
         guard_cap=np.full(count, np.inf),
     )
     if from_rest:
-        whole = _with_lead_in(whole, lead_share[0])
+        uncut = _with_lead_in(uncut, lead_share[0])
     if to_rest:
-        last = reverse(whole.take(slice(-1, None)))
-        lead_out = reverse(_with_lead_in(last, lead_share[1]))
-        whole = join([whole.take(slice(None, -1)), lead_out])
-    straight = ~whole.c[:, 2:].any(axis=(1, 2))
+        reversed_last = reverse(uncut.take(slice(-1, None)))
+        lead_out = reverse(_with_lead_in(reversed_last, lead_share[1]))
+        uncut = join([uncut.take(slice(None, -1)), lead_out])
+    straight = ~uncut.c[:, 2:].any(axis=(1, 2))
     if dense is None:
         dense = order == OF_QUARTIC or count > DENSE
-    curve = 1 if dense else _PARTS_OF_CURVE
-    parts = np.where(straight, _PARTS_OF_STRAIGHT, curve)
+    parts_of_curve = 1 if dense else _PARTS_OF_CURVE
+    parts = np.where(straight, _PARTS_OF_STRAIGHT, parts_of_curve)
     if from_rest:
         parts[0] = _PARTS_OF_LEAD
     if to_rest:
         parts[-1] = _PARTS_OF_LEAD
-    return whole.split(parts.astype(np.int64))
+    return uncut.split(parts.astype(np.int64))
 
 
 def reverse(elements: Elements) -> Elements:
@@ -211,15 +211,15 @@ def reverse(elements: Elements) -> Elements:
     )
 
 
-def _with_lead_in(elements: Elements, most: float) -> Elements:
+def _with_lead_in(elements: Elements, largest_share: float) -> Elements:
     """Replace the first part of the first element by one that starts from rest.
 
     Its ends have the position, velocity and acceleration of the path traversed as
     ``w^3 - w^4 / 2`` of its parameter; on a straight piece it is exactly that.
     """
     first = elements.take(slice(0, 1))
-    share = np.clip(np.full(1, most), _LEAST_LEAD_SHARE, _LEAD_SHARE)
-    head = restricted(first.c, np.zeros(1), share)[0]
+    share = np.clip(np.full(1, largest_share), _LEAST_LEAD_SHARE, _LEAD_SHARE)
+    head_c = restricted(first.c, np.zeros(1), share)[0]
     rest = Elements(
         c=restricted(first.c, share, 1.0 - share),
         length=first.length * (1.0 - share),
@@ -230,10 +230,10 @@ def _with_lead_in(elements: Elements, most: float) -> Elements:
     )
     # In u of the head, w runs twice as far: at w = 1 its slope is 1 and g = 1/2.
     powers = np.arange(DEGREE + 1.0)[:, None]
-    gone, slope = head[1:].sum(axis=0), (powers * head).sum(axis=0)
-    bend = (powers * (powers - 1.0) * head).sum(axis=0)
+    displacement, slope = head_c[1:].sum(axis=0), (powers * head_c).sum(axis=0)
+    second_derivative = (powers * (powers - 1.0) * head_c).sum(axis=0)
     lead = Elements(
-        c=_from_rest(head[0], gone, 2.0 * slope, 4.0 * bend)[None],
+        c=_from_rest(head_c[0], displacement, 2.0 * slope, 4.0 * second_derivative)[None],
         length=2.0 * first.length * share,
         cap=first.cap / (2.0 * share) ** 2,
         operation=first.operation,
@@ -244,14 +244,14 @@ def _with_lead_in(elements: Elements, most: float) -> Elements:
 
 
 def _from_rest(
-    start: FloatArray, gone: FloatArray, slope: FloatArray, bend: FloatArray
+    start: FloatArray, displacement: FloatArray, slope: FloatArray, second_derivative: FloatArray
 ) -> FloatArray:
-    """Return (6, axes): the quintic from rest at ``start``, over ``gone``, to slope and bend."""
+    """Return (6, axes): the quintic from rest at ``start`` to these derivatives at its end."""
     c = np.zeros((DEGREE + 1, len(start)))
     c[0] = start
-    c[3] = 10.0 * gone - 4.0 * slope + 0.5 * bend
-    c[4] = -15.0 * gone + 7.0 * slope - bend
-    c[5] = 6.0 * gone - 3.0 * slope + 0.5 * bend
+    c[3] = 10.0 * displacement - 4.0 * slope + 0.5 * second_derivative
+    c[4] = -15.0 * displacement + 7.0 * slope - second_derivative
+    c[5] = 6.0 * displacement - 3.0 * slope + 0.5 * second_derivative
     # On a straight piece c[5] vanishes but for rounding: g has fourth degree.
     size = np.abs(c[1:]).max(axis=0)
     c[1:][np.abs(c[1:]) < _ROUNDING * size] = 0.0
@@ -277,10 +277,10 @@ class PiecesAhead:
         count = 0
         while count < most:
             if not self._front:
-                fresh = next(self._blocks, None)
-                if fresh is None:
+                new_block = next(self._blocks, None)
+                if new_block is None:
                     break
-                self._front.append((fresh, 0))
+                self._front.append((new_block, 0))
             block, first = self._front.pop()
             stop = min(len(block), first + most - count)
             rests = np.flatnonzero(block.rest_after[first:stop])

@@ -80,17 +80,19 @@ def limited_blocks(
     path: PlannedPath, limits: Limits, follower: Follower | None = None
 ) -> Iterator[TrajectoryBlock]:
     """Yield the fastest trajectory of ``path`` within limits of its axes, and of their loops."""
-    now = 0.0
+    now_s = 0.0
     past = Past(0.0 if follower is None else follower.memory_s)
     ahead = PiecesAhead(path)
-    within = limits.with_length()
-    most = max(DENSE, MOST_PIECES) if follower is None else MOST_FOLLOWED
-    while (run := ahead.take(most)) is not None:
+    limits_with_length = limits.with_length()
+    most_pieces = max(DENSE, MOST_PIECES) if follower is None else MOST_FOLLOWED
+    while (run := ahead.take(most_pieces)) is not None:
         if follower is None and len(run) > MOST_PIECES:
             ahead.put_back(run)
             dense = not run.rest_after[-1]
             del run  # free its memory, which may be large
-            run, now = yield from windowed(ahead, path.radius_m, within, GAP, now, dense=dense)
+            run, now_s = yield from windowed(
+                ahead, path.radius_m, limits_with_length, GAP, now_s, dense=dense
+            )
             if run is None:
                 return
             dwell_s, operation, end = _rest_after(run)
@@ -98,24 +100,29 @@ def limited_blocks(
             dwell_s, operation, end = _rest_after(run)
             block = None
             if follower is None and len(run) == 1 and not run.coefficients[0, 2:].any():
-                block = _line(run, limits, now)
-            if block is None and (shape := run_elements(run, path.radius_m, within)) is not None:
+                block = _line(run, limits, now_s)
+            if (
+                block is None
+                and (shape := run_elements(run, path.radius_m, limits_with_length)) is not None
+            ):
                 del run  # likewise
                 elements = shape.elements
                 del shape
                 if follower is None:
-                    block = in_time(fastest(elements, within, GAP), within, now)
+                    block = in_time(
+                        fastest(elements, limits_with_length, GAP), limits_with_length, now_s
+                    )
                 else:
-                    block = followed(elements, within, follower, past, now)
+                    block = followed(elements, limits_with_length, follower, past, now_s)
             if block is not None:
-                now = block.end_s
+                now_s = block.end_s
                 past.add(block)
                 yield block
         if dwell_s > 0.0:
-            still = held_block(end, now, dwell_s, operation)
-            past.add(still)
-            yield still
-            now += dwell_s
+            rest_block = held_block(end, now_s, dwell_s, operation)
+            past.add(rest_block)
+            yield rest_block
+            now_s += dwell_s
 
 
 def _rest_after(run: PieceBlock) -> tuple[float, int, FloatArray]:

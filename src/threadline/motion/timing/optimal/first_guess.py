@@ -38,27 +38,27 @@ def straight_run(
     """
     from threadline.motion.laws import shortest_move  # it brings the catalogue of laws
 
-    way = np.abs(c[1])
+    distance = np.abs(c[1])
     with np.errstate(divide="ignore", over="ignore"):
-        velocity = float((limits.velocity / way).min())
-        acceleration = float((limits.acceleration / way).min())
-        jerk = float((limits.jerk / way).min())
+        velocity = float((limits.velocity / distance).min())
+        acceleration = float((limits.acceleration / distance).min())
+        jerk = float((limits.jerk / distance).min())
     if limits.deceleration is not None:
         return None
     if limits.along is not None:
         if limits.along.sides[0] != limits.along.sides[1]:
             return None
-        length = float(np.linalg.norm(way * limits.along.radius_m))
+        length = float(np.linalg.norm(distance * limits.along.radius_m))
         velocity = min(velocity, limits.along.velocity / length)
         acceleration = min(acceleration, limits.along.acceleration / length)
         jerk = min(jerk, limits.along.jerk / length)
     if nominal_s > 0.0:
         velocity = min(velocity, 1.0 / nominal_s)
     rates = np.array([velocity, acceleration])
-    if len(limits.demand) and (limits.demand @ rates * way > 1.0).any():
+    if len(limits.demand) and (limits.demand @ rates * distance > 1.0).any():
         return None
     duration_s, place = _phases(shortest_move(1.0, velocity, acceleration, jerk))
-    coefficients = np.zeros((len(place), 4, len(way)))
+    coefficients = np.zeros((len(place), 4, len(distance)))
     coefficients[:, 0] = c[0]
     coefficients += place[:, :, None] * c[1]
     return TrajectoryBlock(
@@ -72,26 +72,30 @@ def straight_run(
 def _phases(move: ShortestMove) -> tuple[FloatArray, FloatArray]:
     """Return the (n,) durations of the phases and (n, 4) places on them in powers of u."""
     top, peak = move.velocity_si, move.acceleration_si
-    gained = 0.5 * peak * move.jerk_s
+    velocity_gain = 0.5 * peak * move.jerk_s
     # Duration, and the velocity and acceleration at the beginning of each phase.
-    begun = [
+    phase_starts = [
         (move.jerk_s, 0.0, 0.0),
-        (move.push_s, gained, peak),
-        (move.jerk_s, top - gained, peak),
+        (move.push_s, velocity_gain, peak),
+        (move.jerk_s, top - velocity_gain, peak),
         (move.cruise_s, top, 0.0),
         (move.jerk_s, top, 0.0),
-        (move.push_s, top - gained, -peak),
-        (move.jerk_s, gained, -peak),
+        (move.push_s, top - velocity_gain, -peak),
+        (move.jerk_s, velocity_gain, -peak),
         (0.0, 0.0, 0.0),
     ]
-    rows, at = [], 0.0
-    for k, ((lasts_s, velocity, acceleration), (_, _, then)) in enumerate(pairwise(begun)):
+    rows, place = [], 0.0
+    for k, ((lasts_s, velocity, acceleration), (_, _, next_acceleration)) in enumerate(
+        pairwise(phase_starts)
+    ):
         if not lasts_s > 0.0:
             continue
-        bent = 0.0 if k in (1, 3, 5) else (then - acceleration) * lasts_s**2 / 6.0
-        rows.append([at, velocity * lasts_s, 0.5 * acceleration * lasts_s**2, bent])
-        at = sum(rows[-1])
-    return np.array([lasts_s for lasts_s, _, _ in begun if lasts_s > 0.0]), np.array(rows)
+        cubic_term = (
+            0.0 if k in (1, 3, 5) else (next_acceleration - acceleration) * lasts_s**2 / 6.0
+        )
+        rows.append([place, velocity * lasts_s, 0.5 * acceleration * lasts_s**2, cubic_term])
+        place = sum(rows[-1])
+    return np.array([lasts_s for lasts_s, _, _ in phase_starts if lasts_s > 0.0]), np.array(rows)
 
 
 _SHARE = 0.25  # of the accelerations, on the way
@@ -110,16 +114,16 @@ def even(length, c, guard, limits, demand, cap):
     """
     limit_v, limit_a, limit_j = limits
     n, order, axes = c.shape
-    out = np.empty(n)
+    largest_x = np.empty(n)
     for i in range(n):
         y = cap[i]
         for j in range(axes):
             v, a, q = 0.0, 0.0, 0.0
             for k in range(1, order):
-                size = abs(c[i, k, j])
-                v += k * size
-                a += k * (k - 1) * size
-                q += k * (k - 1) * (k - 2) * size
+                magnitude = abs(c[i, k, j])
+                v += k * magnitude
+                a += k * (k - 1) * magnitude
+                q += k * (k - 1) * (k - 2) * magnitude
             if v > 0.0:
                 y = min(y, (limit_v[j] / v) ** 2)
             for m in range(len(demand)):
@@ -137,8 +141,8 @@ def even(length, c, guard, limits, demand, cap):
                 a += k * (k - 1) * abs(guard[i, k, j])
             if a > 0.0:
                 y = min(y, 1.0 / a)
-        out[i] = y * length[i] ** 2
-    return out
+        largest_x[i] = y * length[i] ** 2
+    return largest_x
 
 
 @njit()
@@ -175,19 +179,19 @@ def used(b, length, rows, tangent, out, anew):
 def roundings(b, length, rows):
     """Return the (n,) rounding of an element's rows by the digits of y, in shares of a limit."""
     acc, jerk, count = rows[0], rows[1], rows[3]
-    out = np.empty(len(length))
+    rounding = np.empty(len(length))
     for i in range(len(length)):
         y0, y1, y2 = values(b, length, i)
         y = max(y0, y1, y2)
-        steep, steep_jerk = 0.0, 0.0
+        largest_row, largest_jerk_row = 0.0, 0.0
         for k in range(count[i, 0]):
             r0, r1, r2 = acc[i, k, 0], acc[i, k, 1], acc[i, k, 2]
-            steep = max(steep, abs(r0), abs(r1), abs(r2))
+            largest_row = max(largest_row, abs(r0), abs(r1), abs(r2))
         for k in range(count[i, 1]):
             r0, r1, r2 = jerk[i, k, 0], jerk[i, k, 1], jerk[i, k, 2]
-            steep_jerk = max(steep_jerk, abs(r0), abs(r1), abs(r2))
-        out[i] = _DIGITS * max(steep, steep_jerk * np.sqrt(y)) * y
-    return out
+            largest_jerk_row = max(largest_jerk_row, abs(r0), abs(r1), abs(r2))
+        rounding[i] = _DIGITS * max(largest_row, largest_jerk_row * np.sqrt(y)) * y
+    return rounding
 
 
 @njit()
@@ -205,11 +209,11 @@ def feasible(length, rows, most):
     node = np.empty(n + 1)
     gain = np.empty(n)  # largest change of x over an element by its acceleration
     for i in range(n):
-        steep = 0.0
+        largest_row = 0.0
         for k in range(count[i, 0]):
             r = acc[i, k]
-            steep = max(steep, abs(r[0]), abs(r[1]), abs(r[2]))
-        gain[i] = _SHARE / steep * length[i] ** 2 if steep > 0.0 else np.inf
+            largest_row = max(largest_row, abs(r[0]), abs(r[1]), abs(r[2]))
+        gain[i] = _SHARE / largest_row * length[i] ** 2 if largest_row > 0.0 else np.inf
     cap = most.copy()
     b = np.empty(n + 2)
     for _ in range(_ROUNDS):
@@ -226,9 +230,9 @@ def feasible(length, rows, most):
             return b, tangent
         for i in range(n):
             if share[i] >= _USED:
-                reach = max(b[i], b[i + 1], b[i + 2])
+                largest_x = max(b[i], b[i + 1], b[i + 2])
                 for k in range(max(i - 1, 0), min(i + 2, n)):
-                    cap[k] = min(cap[k], 0.6 * reach)
+                    cap[k] = min(cap[k], 0.6 * largest_x)
     lowest = most[0]
     for i in range(n):
         lowest = min(lowest, most[i])
@@ -242,14 +246,14 @@ def top_of(elements: Elements, limits: Limits) -> FloatArray:
     along = limits.along
     if along is None or not np.isfinite(along.centripetal):
         return elements.top
-    bent = across(elements.c[:, :, :-1] * along.radius_m)
+    across_bound = across(elements.c[:, :, :-1] * along.radius_m)
     with np.errstate(divide="ignore"):
-        return np.minimum(elements.top, along.centripetal / bent)
+        return np.minimum(elements.top, along.centripetal / across_bound)
 
 
 def evenly(elements: Elements, limits: Limits) -> FloatArray:
     """Return the (n,) largest constant x of each element within all limits."""
     at, of = elements, limits
     least, top = np.minimum(*of.sides), top_of(at, of)
-    most = even(at.length, at.c, at.guard, (of.velocity, least, of.jerk), of.demand, top)
-    return np.asarray(most)
+    largest_x = even(at.length, at.c, at.guard, (of.velocity, least, of.jerk), of.demand, top)
+    return np.asarray(largest_x)

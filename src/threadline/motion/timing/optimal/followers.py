@@ -21,17 +21,17 @@ if TYPE_CHECKING:
 @njit()
 def _squared(point, start, end):
     """Return the squared distance of a point from a segment, and the place on it (0..1)."""
-    along, length = 0.0, 0.0
+    projection, length2 = 0.0, 0.0
     for k in range(len(point)):
         direction = end[k] - start[k]
-        along += (point[k] - start[k]) * direction
-        length += direction * direction
-    where = 0.0 if length <= 0.0 else min(max(along / length, 0.0), 1.0)
-    squared = 0.0
+        projection += (point[k] - start[k]) * direction
+        length2 += direction * direction
+    place = 0.0 if length2 <= 0.0 else min(max(projection / length2, 0.0), 1.0)
+    distance2 = 0.0
     for k in range(len(point)):
-        gap = point[k] - start[k] - where * (end[k] - start[k])
-        squared += gap * gap
-    return squared, where
+        gap = point[k] - start[k] - place * (end[k] - start[k])
+        distance2 += gap * gap
+    return distance2, place
 
 
 @njit()
@@ -55,31 +55,35 @@ def strayed(load, way, fine, window):
     (f, axes) vectors from path to load, and the (f,) ticks of that load.
     """
     axes = way.shape[1]
-    size = np.zeros(len(way))
+    largest2 = np.zeros(len(way))
     out = np.zeros((len(way), axes))
     tick = np.zeros(len(way), dtype=np.int64)
     for k in range(window, len(load)):
-        best, at, part = np.inf, 0, 0.0
-        last = min(k * fine, len(way) - 1)
-        for f in range(max(last - window * fine, 0), max(last, 1)):
-            squared, where = _squared(load[k], way[f], way[f + 1])
-            if squared < best:
-                best, at, part = squared, f, where
-        if best > size[at]:
-            size[at], tick[at] = best, k
+        least2, nearest, place = np.inf, 0, 0.0
+        last_point = min(k * fine, len(way) - 1)
+        for f in range(max(last_point - window * fine, 0), max(last_point, 1)):
+            distance2, place_found = _squared(load[k], way[f], way[f + 1])
+            if distance2 < least2:
+                least2, nearest, place = distance2, f, place_found
+        if least2 > largest2[nearest]:
+            largest2[nearest], tick[nearest] = least2, k
             for a in range(axes):
-                out[at, a] = load[k, a] - way[at, a] - part * (way[at + 1, a] - way[at, a])
+                out[nearest, a] = (
+                    load[k, a] - way[nearest, a] - place * (way[nearest + 1, a] - way[nearest, a])
+                )
     for f in range(window * fine, len(way)):
-        best, at, part = np.inf, 0, 0.0
+        least2, nearest, place = np.inf, 0, 0.0
         begin = f // fine
         for k in range(begin, min(begin + window, len(load) - 1)):
-            squared, where = _squared(way[f], load[k], load[k + 1])
-            if squared < best:
-                best, at, part = squared, k, where
-        if size[f] < best < np.inf:
-            size[f], tick[f] = best, at
+            distance2, place_found = _squared(way[f], load[k], load[k + 1])
+            if distance2 < least2:
+                least2, nearest, place = distance2, k, place_found
+        if largest2[f] < least2 < np.inf:
+            largest2[f], tick[f] = least2, nearest
             for a in range(axes):
-                out[f, a] = load[at, a] + part * (load[at + 1, a] - load[at, a]) - way[f, a]
+                out[f, a] = (
+                    load[nearest, a] + place * (load[nearest + 1, a] - load[nearest, a]) - way[f, a]
+                )
     return out, tick
 
 
@@ -99,19 +103,19 @@ def blamed(error, tick, fine, acceleration, swing, tolerance):
     out = np.zeros(len(error))
     share = np.zeros(len(swing))
     for f in range(len(error)):
-        size = np.sqrt((error[f] ** 2).sum())
-        if size <= tolerance:
+        error_m = np.sqrt((error[f] ** 2).sum())
+        if error_m <= tolerance:
             continue
-        due = np.log(size / tolerance)
-        seen = min(tick[f] * fine, len(error) - 1)
-        most = 0.0
-        for d in range(min(len(swing), seen + 1)):
-            share[d] = (error[f] * swing[d] * acceleration[seen - d]).sum()
-            most = max(most, share[d])
-        for d in range(min(len(swing), seen + 1)):
+        excess = np.log(error_m / tolerance)
+        load_point = min(tick[f] * fine, len(error) - 1)
+        largest_share = 0.0
+        for d in range(min(len(swing), load_point + 1)):
+            share[d] = (error[f] * swing[d] * acceleration[load_point - d]).sum()
+            largest_share = max(largest_share, share[d])
+        for d in range(min(len(swing), load_point + 1)):
             if share[d] > 0.0:
-                weight = min(1.0, 2.0 * share[d] / most)
-                out[seen - d] = max(out[seen - d], weight * due)
+                weight = min(1.0, 2.0 * share[d] / largest_share)
+                out[load_point - d] = max(out[load_point - d], weight * excess)
     return out
 
 
@@ -162,18 +166,18 @@ class Past:
 
     def add(self, block: TrajectoryBlock) -> None:
         """Add the next block, and discard blocks that are too old."""
-        since = block.end_s - 2.0 * self._memory_s
-        self._blocks = [kept for kept in self._blocks if kept.end_s > since]
+        oldest_s = block.end_s - 2.0 * self._memory_s
+        self._blocks = [old_block for old_block in self._blocks if old_block.end_s > oldest_s]
         self._blocks.append(block)
 
     def commanded(self, block: TrajectoryBlock, time_s: FloatArray) -> FloatArray:
         """Return (n, axes) commanded positions at ascending times; ``block`` is the last block."""
         blocks = [*self._blocks, block]
-        out = np.tile(blocks[0].coefficients[0, 0], (len(time_s), 1))
+        positions = np.tile(blocks[0].coefficients[0, 0], (len(time_s), 1))
         for part in blocks:
             inside = time_s >= part.start_s[0]
-            out[inside] = part.evaluate(time_s[inside])
-        return out
+            positions[inside] = part.evaluate(time_s[inside])
+        return positions
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -217,25 +221,28 @@ class Follower:
         takes no load off the path.
         """
         lag = self.lag_s
-        first, second = np.full(len(self.answers), lag), np.full(len(self.answers), 0.5 * lag**2)
+        per_velocity, per_acceleration = (
+            np.full(len(self.answers), lag),
+            np.full(len(self.answers), 0.5 * lag**2),
+        )
         for k, answer in enumerate(self.answers):
             if answer is not None:
-                one, two = answer.moments
-                first[k] -= one
-                second[k] += two - lag * one
-        return first, second
+                first_moment, second_moment = answer.moments
+                per_velocity[k] -= first_moment
+                per_acceleration[k] += second_moment - lag * first_moment
+        return per_velocity, per_acceleration
 
     def swing(self, step_s: float) -> FloatArray:
         """Return the (d, axes) error in m that a unit change of velocity leaves, d steps later."""
         time_s = np.arange(0.0, self.memory_s, step_s)
-        out = np.zeros((len(time_s), len(self.answers)))
+        swings = np.zeros((len(time_s), len(self.answers)))
         for k, answer in enumerate(self.answers):
             if answer is not None:
                 tick = np.arange(len(answer.taps) + 1, dtype=np.float64)
                 ramp = np.asarray(tick * answer.period_s)
-                moved = answer.load(ramp) - np.maximum(ramp - answer.moments[0], 0.0)
-                out[:, k] = np.interp(time_s, ramp, moved)
-        return out
+                ramp_error = answer.load(ramp) - np.maximum(ramp - answer.moments[0], 0.0)
+                swings[:, k] = np.interp(time_s, ramp, ramp_error)
+        return swings
 
     def guarded(
         self,
@@ -259,7 +266,7 @@ class Follower:
         speed, push = self.coefficients()
         c = elements.c[:, :, : len(self.radius_m)] * self.radius_m
         tangent = tangents(elements, self.radius_m)
-        room = (self.tolerance_m * ease)[:, None, None]
+        allowed_m = (self.tolerance_m * ease)[:, None, None]
 
         def across(vectors: FloatArray) -> FloatArray:
             along = np.einsum("nka,na->nk", vectors, tangent)
@@ -267,10 +274,12 @@ class Follower:
                 vectors - (straight[:, None] * along)[:, :, None] * tangent[:, None, :]
             )
 
-        guard = across(c * push) / room
-        size = np.abs(guard).max(axis=(1, 2), keepdims=True)
-        guard[np.abs(guard) < 1e-9 * np.maximum(size, 1e-300)] = 0.0
-        rate = np.abs(across((c * speed)[:, 1:] * np.arange(1.0, c.shape[1])[None, :, None]) / room)
+        guard = across(c * push) / allowed_m
+        largest = np.abs(guard).max(axis=(1, 2), keepdims=True)
+        guard[np.abs(guard) < 1e-9 * np.maximum(largest, 1e-300)] = 0.0
+        rate = np.abs(
+            across((c * speed)[:, 1:] * np.arange(1.0, c.shape[1])[None, :, None]) / allowed_m
+        )
         fastest = rate.sum(axis=1).max(axis=1)
         with np.errstate(over="ignore"):  # a rate near zero: no cap
             cap = (
@@ -290,25 +299,31 @@ class Follower:
         """
         tick = self.tick_s
         window = ceil(_LAGS * self.lag_s / tick) + 1
-        before = ceil(self.memory_s / tick) + 2 * window
-        begin = float(block.start_s[0])
-        count = before + ceil((block.end_s - begin) / tick) + 2 * window
-        at = begin + (np.arange(count) - before) * tick
+        history_ticks = ceil(self.memory_s / tick) + 2 * window
+        begin_s = float(block.start_s[0])
+        count = history_ticks + ceil((block.end_s - begin_s) / tick) + 2 * window
+        tick_times_s = begin_s + (np.arange(count) - history_ticks) * tick
         fine = max(1, ceil(tick / _FINE_S))
-        way_s = at[0] + np.arange((count - 1) * fine + 1) * (tick / fine)
-        way = past.commanded(block, way_s) * self.radius_m
-        load = np.empty((count, way.shape[1]))
+        path_times_s = tick_times_s[0] + np.arange((count - 1) * fine + 1) * (tick / fine)
+        path_m = past.commanded(block, path_times_s) * self.radius_m
+        load = np.empty((count, path_m.shape[1]))
         for k, answer in enumerate(self.answers):
             if answer is None:
-                load[:, k] = way[::fine, k]
+                load[:, k] = path_m[::fine, k]
                 continue
-            own_s = np.arange(at[0], at[-1] + answer.period_s, answer.period_s)
-            commanded = past.commanded(block, own_s)[:, k] * self.radius_m[k]
-            load[:, k] = np.interp(at, own_s, answer.load(commanded))
-        first = before - 2 * window
-        error, seen = strayed(load[first:], way[first * fine :], fine, window)
+            axis_times_s = np.arange(
+                tick_times_s[0], tick_times_s[-1] + answer.period_s, answer.period_s
+            )
+            commanded = past.commanded(block, axis_times_s)[:, k] * self.radius_m[k]
+            load[:, k] = np.interp(tick_times_s, axis_times_s, answer.load(commanded))
+        first_tick = history_ticks - 2 * window
+        error, seen_ticks = strayed(load[first_tick:], path_m[first_tick * fine :], fine, window)
         return Strays(
-            time_s=way_s[first * fine :], error_m=error, tick=seen, fine=fine, follower=self
+            time_s=path_times_s[first_tick * fine :],
+            error_m=error,
+            tick=seen_ticks,
+            fine=fine,
+            follower=self,
         )
 
 
@@ -344,17 +359,19 @@ class Strays:
         lag, step = self.follower.lag_s, float(self.time_s[1] - self.time_s[0])
         before, after = (ceil(lags * lag / step) for lags in (BEFORE, AFTER))
         width = before + after + 1
-        most = maximum_filter1d(self.share, width, origin=before - width // 2, mode="nearest")
-        return np.asarray(np.interp(places_s, self.time_s, most))
+        largest_nearby = maximum_filter1d(
+            self.share, width, origin=before - width // 2, mode="nearest"
+        )
+        return np.asarray(np.interp(places_s, self.time_s, largest_nearby))
 
     def due(self, block: TrajectoryBlock, places_s: FloatArray) -> FloatArray:
         """Return the (n,) logarithms by which to change the accelerations at some times."""
         step = float(self.time_s[1] - self.time_s[0])
-        most = np.log(np.maximum(self.worst(self.time_s) / _AIM, _LEAST_SHARE))
+        log_excess = np.log(np.maximum(self.worst(self.time_s) / _AIM, _LEAST_SHARE))
         inside = (self.time_s >= block.start_s[0]) & (self.time_s <= block.end_s)
         acceleration = np.zeros_like(self.error_m)
         acceleration[inside] = block.evaluate(self.time_s[inside], 2) * self.follower.radius_m
-        blame = blamed(
+        log_blame = blamed(
             self.error_m,
             self.tick,
             self.fine,
@@ -363,7 +380,7 @@ class Strays:
             _AIM * self.follower.tolerance_m,
         )
         # Where an error exceeds the tolerance, only its causes are tightened, and nothing is eased.
-        change = np.where(most > 0.0, -_TIGHTENED * blame, -_EASED * most)
+        change = np.where(log_excess > 0.0, -_TIGHTENED * log_blame, -_EASED * log_excess)
         return np.asarray(np.interp(places_s, self.time_s, change))
 
 
@@ -372,6 +389,6 @@ def tangents(elements: Elements, radius_m: FloatArray) -> FloatArray:
 
     If the last axis is the travelled path length, it is left out.
     """
-    way = elements.c[:, 1:, : len(radius_m)].sum(axis=1) * radius_m
-    size = np.linalg.norm(way, axis=1, keepdims=True)
-    return np.asarray(way / np.where(size > 0.0, size, 1.0))
+    displacement = elements.c[:, 1:, : len(radius_m)].sum(axis=1) * radius_m
+    length = np.linalg.norm(displacement, axis=1, keepdims=True)
+    return np.asarray(displacement / np.where(length > 0.0, length, 1.0))

@@ -82,7 +82,7 @@ def stray_rows(
     tau *= (block.end_s - block.start_s[0]) / tau.sum()
     start = block.start_s[0] + np.concatenate([[0.0], np.cumsum(tau)[:-1]])
     errors = strays.error_m[chosen]
-    towards = errors / np.linalg.norm(errors, axis=1, keepdims=True)
+    directions = errors / np.linalg.norm(errors, axis=1, keepdims=True)
     step = float(strays.time_s[1] - strays.time_s[0])
     seen_s = strays.time_s[0] + strays.tick[chosen] * strays.fine * step
     rows = np.zeros((len(chosen), len(tau)))
@@ -91,9 +91,9 @@ def stray_rows(
         inside = (reference_s >= block.start_s[0]) & (reference_s <= block.end_s)
         speed = np.zeros(reference_s.shape)
         speed[inside] = block.evaluate(reference_s[inside], 1)[:, k] * follower.radius_m[k]
-        weight = towards[:, k, None] * taps[::-1] * speed
-        passed = np.clip((strays.time_s[chosen, None] - start) / tau, 0.0, 1.0)
-        rows += weight.sum(axis=1)[:, None] * passed
+        weight = directions[:, k, None] * taps[::-1] * speed
+        share_passed = np.clip((strays.time_s[chosen, None] - start) / tau, 0.0, 1.0)
+        rows += weight.sum(axis=1)[:, None] * share_passed
         rows -= _passed(weight, np.ascontiguousarray(reference_s), start, tau)
     by_y = -0.5 / 3.0 * solution.y**-1.5 / follower.tolerance_m
     return Rows(
@@ -113,10 +113,10 @@ def _taps(follower: Follower) -> list[tuple[float, FloatArray]]:
 @njit()
 def _passed(weight, times_s, start, tau):
     """Return (m, n) sums of (m, t) weights times the share of an element passed by each time."""
-    many, width = weight.shape
-    out = np.empty((many, len(start)))
+    row_count, width = weight.shape
+    sums = np.empty((row_count, len(start)))
     mass, moment = np.zeros(width + 1), np.zeros(width + 1)
-    for r in range(many):
+    for r in range(row_count):
         for j in range(width):
             mass[j + 1] = mass[j] + weight[r, j]
             moment[j + 1] = moment[j] + weight[r, j] * times_s[r, j]
@@ -126,23 +126,23 @@ def _passed(weight, times_s, start, tau):
                 low += 1
             while high < width and times_s[r, high] < start[i] + tau[i]:
                 high += 1
-            within = moment[high] - moment[low] - start[i] * (mass[high] - mass[low])
-            out[r, i] = mass[width] - mass[high] + within / tau[i]
-    return out
+            partial = moment[high] - moment[low] - start[i] * (mass[high] - mass[low])
+            sums[r, i] = mass[width] - mass[high] + partial / tau[i]
+    return sums
 
 
 def _by_coefficients(by_y: FloatArray, length: FloatArray) -> FloatArray:
     """Return (m, n + 2) derivatives by b from (m, n, 3) derivatives by y."""
     n = len(length)
-    before = np.concatenate([[0.0], length[:-1]])
-    after = np.concatenate([length[1:], [0.0]])
+    length_before = np.concatenate([[0.0], length[:-1]])
+    length_after = np.concatenate([length[1:], [0.0]])
     first, middle, last = (by_y / (length**2)[:, None]).transpose(2, 0, 1)
-    out = np.zeros((len(by_y), n + 2))
-    out[:, :n] += first * (length / (before + length))
-    out[:, 1 : n + 1] += first * (before / (before + length)) + middle
-    out[:, 1 : n + 1] += last * (after / (length + after))
-    out[:, 2:] += last * (length / (length + after))
-    return out
+    by_b = np.zeros((len(by_y), n + 2))
+    by_b[:, :n] += first * (length / (length_before + length))
+    by_b[:, 1 : n + 1] += first * (length_before / (length_before + length)) + middle
+    by_b[:, 1 : n + 1] += last * (length_after / (length + length_after))
+    by_b[:, 2:] += last * (length / (length + length_after))
+    return by_b
 
 
 _MOST_CONSTRAINT_ENTRIES = 1_000_000  # rows times elements
@@ -180,24 +180,26 @@ def polished(
     """
     begin_s = float(block.start_s[0])
     best, least_s, idle = block, np.inf, 0
-    at = problem.elements
-    problem.regard(replace(at, guard=at.guard[:, :, :0], guard_cap=np.full(len(at), np.inf)))
+    elements = problem.elements
+    problem.regard(
+        replace(elements, guard=elements.guard[:, :, :0], guard_cap=np.full(len(elements), np.inf))
+    )
     for _ in range(MOST_ROUNDS_OF_ROWS):
         solution = problem.solution()
-        now = in_time(solution, limits, begin_s)
-        strays = follower.strays(past, now)
-        kept = _kept(now, float(strays.share.max()), follower, past)
+        block_now = in_time(solution, limits, begin_s)
+        strays = follower.strays(past, block_now)
+        block_kept = _kept(block_now, float(strays.share.max()), follower, past)
         enough_s = _ENOUGH * (best.end_s - begin_s)
         # Gains may come in later rounds, so slowing may pay off later.
-        idle = 0 if now.end_s < least_s - enough_s else idle + 1
-        least_s = min(least_s, now.end_s)
-        if kept is not None and kept.end_s < best.end_s:
-            idle = 0 if kept.end_s < best.end_s - enough_s else idle
-            best = kept
-        chosen = _chosen(strays.share, len(at))
-        if idle == _IDLE or len(chosen) * len(at) > _MOST_CONSTRAINT_ENTRIES:
+        idle = 0 if block_now.end_s < least_s - enough_s else idle + 1
+        least_s = min(least_s, block_now.end_s)
+        if block_kept is not None and block_kept.end_s < best.end_s:
+            idle = 0 if block_kept.end_s < best.end_s - enough_s else idle
+            best = block_kept
+        points = _chosen(strays.share, len(elements))
+        if idle == _IDLE or len(points) * len(elements) > _MOST_CONSTRAINT_ENTRIES:
             break
-        _descend(problem, stray_rows(solution, now, strays, chosen))
+        _descend(problem, stray_rows(solution, block_now, strays, points))
     return best
 
 
@@ -218,28 +220,28 @@ def _kept(
 
 def _chosen(share: FloatArray, elements: int) -> IntArray:
     """Return the points whose errors get rows: as many as can be solved quickly."""
-    inside = np.concatenate([[-np.inf], share, [-np.inf]])
-    peak = (share >= inside[:-2]) & (share > inside[2:])
+    padded = np.concatenate([[-np.inf], share, [-np.inf]])
+    peak = (share >= padded[:-2]) & (share > padded[2:])
     number = np.arange(len(share))
     for every in _EVERY:
-        chosen = np.flatnonzero((share > _NEAR) & (peak | (number % every == 0)))
-        if len(chosen) ** 2 * elements <= _FEW:
+        points = np.flatnonzero((share > _NEAR) & (peak | (number % every == 0)))
+        if len(points) ** 2 * elements <= _FEW:
             break
-    return chosen
+    return points
 
 
 def _descend(problem: Problem, rows: Rows) -> None:
     """Make the motion as fast as its limits and the rows allow, near where it is."""
-    at = problem.elements
-    length = at.length
-    problem.limit(replace(at, guard_cap=_FASTER * bernstein(problem.b, length).max(axis=1)))
-    was = problem.b.copy()
+    elements = problem.elements
+    length = elements.length
+    problem.limit(replace(elements, guard_cap=_FASTER * bernstein(problem.b, length).max(axis=1)))
+    b_before = problem.b.copy()
     room = _slowed_near_rows(problem, rows)
     slacks = problem.slacks + len(room)
     for share in _WEIGHTS:
         weight = share * float(barrier.duration(problem.b, length)) / slacks
         for _ in range(_STEPS):
-            slack = room - rows.weights @ (problem.b - was)
+            slack = room - rows.weights @ (problem.b - b_before)
             step, decrement = _newton(problem, rows.weights, slack, weight)
             if not np.isfinite(step).all():
                 break  # rounding ends it here: b keeps within all limits
@@ -249,7 +251,7 @@ def _descend(problem: Problem, rows: Rows) -> None:
             problem.steps += 1
             if decrement < _CENTRED * weight:
                 break
-    problem.limit(at)
+    problem.limit(elements)
 
 
 def _slowed_near_rows(problem: Problem, rows: Rows) -> FloatArray:
@@ -260,12 +262,12 @@ def _slowed_near_rows(problem: Problem, rows: Rows) -> FloatArray:
     """
     falls = rows.weights @ problem.b
     room = _AIM - rows.share
-    lacks = _LEAST_ROOM - room
-    due = np.zeros(len(room))
-    np.divide(lacks, falls, out=due, where=(lacks > 0.0) & (falls > 0.0))
-    slower = min(float(due.max(initial=0.0)), _MOST_SLOWER)
-    problem.b = (1.0 - slower) * problem.b
-    return np.maximum(room, _LEAST_ROOM - slower * falls)
+    missing_room = _LEAST_ROOM - room
+    needed_share = np.zeros(len(room))
+    np.divide(missing_room, falls, out=needed_share, where=(missing_room > 0.0) & (falls > 0.0))
+    slowing = min(float(needed_share.max(initial=0.0)), _MOST_SLOWER)
+    problem.b = (1.0 - slowing) * problem.b
+    return np.maximum(room, _LEAST_ROOM - slowing * falls)
 
 
 def _newton(
@@ -281,14 +283,14 @@ def _newton(
         # With B = L D L' and V = W L'^-1 D^-1/2, W B^-1 W' is V V'; so the step is
         # (B + W' S W)^-1 = B^-1 - B^-1 W' (S^-1 + V V')^-1 W B^-1 of -g.
         halved = barrier.halved(matrix, weights)
-        inner = halved @ halved.T
-        inner[np.diag_indices_from(inner)] += slack**2 / weight
-        pushed = weights.T @ np.linalg.solve(inner, weights @ step)
+        inner_matrix = halved @ halved.T
+        inner_matrix[np.diag_indices_from(inner_matrix)] += slack**2 / weight
+        pushed = weights.T @ np.linalg.solve(inner_matrix, weights @ step)
         step = step + barrier.solved(matrix, pushed)
-        nearer = weights @ step
-        far = np.full(len(slack), np.inf)
-        np.divide(slack, nearer, out=far, where=nearer > 0.0)
-        step = step * min(1.0, _NEAR_LIMIT * float(far.min()))
+        approach = weights @ step
+        steps_to_row = np.full(len(slack), np.inf)
+        np.divide(slack, approach, out=steps_to_row, where=approach > 0.0)
+        step = step * min(1.0, _NEAR_LIMIT * float(steps_to_row.min()))
     return step, -float(g @ step)
 
 
@@ -315,7 +317,7 @@ def followed(
     PlanError
         If the loads exceed the tolerance however slow the run is.
     """
-    ease, straight, most = np.ones(len(elements)), np.ones(len(elements)), None
+    ease, straight, largest_x = np.ones(len(elements)), np.ones(len(elements)), None
     problem = Problem(follower.guarded(elements, ease, straight), limits)
     for number in range(_FOLLOWING_ERROR_ROUNDS + _SLOWER_ROUNDS):
         if number == 0:
@@ -330,30 +332,36 @@ def followed(
             return polished(problem, block, limits, follower, past)
         middles = middles_s(solution)
         middles *= (block.end_s - begin_s) / middles[-1]
-        at = _whose(elements, solution.elements)
+        coarse_element = _whose(elements, solution.elements)
         elements = solution.elements
         x = solution.y.max(axis=1) * elements.length**2
         if number < _FOLLOWING_ERROR_ROUNDS:
-            fresh = straightness(middles, elements, follower)
-            straight = 0.5 * (straight[at] + fresh) if number else fresh
-            due = np.clip(strays.due(block, begin_s + middles), -_MOST_CHANGE, _MOST_CHANGE)
+            new_straight = straightness(middles, elements, follower)
+            straight = 0.5 * (straight[coarse_element] + new_straight) if number else new_straight
+            log_change = np.clip(strays.due(block, begin_s + middles), -_MOST_CHANGE, _MOST_CHANGE)
             # An inactive guard is tightened from where it would become active.
-            bites = np.clip(problem.guards_used(), _LEAST_USED, 1.0)
-            ease = ease[at] * np.exp(due) * np.where(due < 0.0, bites, 1.0)
+            active_share = np.clip(problem.guards_used(), _LEAST_USED, 1.0)
+            ease = (
+                ease[coarse_element]
+                * np.exp(log_change)
+                * np.where(log_change < 0.0, active_share, 1.0)
+            )
             ease = np.clip(ease, _LEAST, _MOST)
         else:
-            over = strays.worst(begin_s + middles)
-            ease, straight = ease[at], straight[at]
-            known = np.full(len(x), np.inf) if most is None else most[at]
-            most = _slowed_where_loads_stray(known, x, over)
-        problem.regard(follower.guarded(elements, ease, straight, most))
+            excess_share = strays.worst(begin_s + middles)
+            ease, straight = ease[coarse_element], straight[coarse_element]
+            known_caps = np.full(len(x), np.inf) if largest_x is None else largest_x[coarse_element]
+            largest_x = _slowed_where_loads_stray(known_caps, x, excess_share)
+        problem.regard(follower.guarded(elements, ease, straight, largest_x))
     return polished(problem, _slower(block, follower, past), limits, follower, past)
 
 
-def _slowed_where_loads_stray(known: FloatArray, x: FloatArray, over: FloatArray) -> FloatArray:
-    """Return the (n,) caps ``known``, lowered below ``x`` where the share ``over`` exceeds 1."""
-    lower = np.minimum(known, x * np.maximum(over, 1.0) ** -_SLOWED)
-    return np.where(over > 1.0, lower, known)
+def _slowed_where_loads_stray(
+    known_caps: FloatArray, x: FloatArray, excess_share: FloatArray
+) -> FloatArray:
+    """Return (n,) ``known_caps``, lowered below ``x`` where ``excess_share`` is above 1."""
+    lowered_caps = np.minimum(known_caps, x * np.maximum(excess_share, 1.0) ** -_SLOWED)
+    return np.where(excess_share > 1.0, lowered_caps, known_caps)
 
 
 def _whose(coarse: Elements, fine: Elements) -> IntArray:

@@ -46,42 +46,42 @@ def as_it_is(
 
 
 def _stretched_motion(
-    solution: Solution, limits: Limits, begin_s: float, most: float
+    solution: Solution, limits: Limits, begin_s: float, largest_factor: float
 ) -> tuple[TrajectoryBlock, float]:
-    """Return the motion, stretched at most by the factor ``most``, and the factor it needs."""
+    """Return the motion, stretched at most by ``largest_factor``, and the factor it needs."""
     elements, y = solution.elements, solution.y
     c, operation = elements.c, elements.operation
-    done: list[tuple[FloatArray, FloatArray, FloatArray]] = []
+    finished: list[tuple[FloatArray, FloatArray, FloatArray]] = []
     source = np.arange(len(c), dtype=np.float64)
     for cut in range(CUTS + 1):
         coefficients, duration_s = _hermite(c, y)
-        beyond = _beyond(coefficients, duration_s, limits)
+        exceeds = _beyond(coefficients, duration_s, limits)
         if cut == CUTS:
-            beyond[:] = False
-        kept = ~beyond
-        done.append((source[kept], coefficients[kept], duration_s[kept]))
-        if not beyond.any():
+            exceeds[:] = False
+        is_kept = ~exceeds
+        finished.append((source[is_kept], coefficients[is_kept], duration_s[is_kept]))
+        if not exceeds.any():
             break
-        c, y, source = _halved(c[beyond], y[beyond], source[beyond], 0.5 ** (cut + 1))
-    places = np.concatenate([part[0] for part in done])
+        c, y, source = _halved(c[exceeds], y[exceeds], source[exceeds], 0.5 ** (cut + 1))
+    places = np.concatenate([part[0] for part in finished])
     order = np.argsort(places, kind="stable")
-    coefficients = np.concatenate([part[1] for part in done])[order]
-    duration_s = np.concatenate([part[2] for part in done])[order]
-    due = _stretch(coefficients, duration_s, limits)
-    duration_s = duration_s * min(due, most)
+    coefficients = np.concatenate([part[1] for part in finished])[order]
+    duration_s = np.concatenate([part[2] for part in finished])[order]
+    stretch = _stretch(coefficients, duration_s, limits)
+    duration_s = duration_s * min(stretch, largest_factor)
     if limits.along is not None:
         # Drop the travelled path length, which was one of the axes, and check its true value.
         coefficients = coefficients[:, :, :-1]
-        used = true_shares(coefficients, duration_s, limits.along)
-        more = max(1.0, *(share ** (1.0 / k) for k, share in enumerate(used, 1)))
-        duration_s = duration_s * min(more, most)
-        due *= more
+        shares_used = true_shares(coefficients, duration_s, limits.along)
+        path_stretch = max(1.0, *(share ** (1.0 / k) for k, share in enumerate(shares_used, 1)))
+        duration_s = duration_s * min(path_stretch, largest_factor)
+        stretch *= path_stretch
     return TrajectoryBlock(
         start_s=begin_s + np.concatenate([[0.0], np.cumsum(duration_s)[:-1]]),
         duration_s=duration_s,
         coefficients=coefficients,
         operation=operation[np.floor(places[order]).astype(np.int64)],
-    ), due
+    ), stretch
 
 
 def _halved(
@@ -89,14 +89,18 @@ def _halved(
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     n = len(c)
     begin = np.tile([0.0, 0.5], n)
-    half = np.full(2 * n, 0.5)
-    twice = np.repeat(np.arange(n), 2)
+    half_widths = np.full(2 * n, 0.5)
+    doubled_rows = np.repeat(np.arange(n), 2)
     first, middle, last = y.T
     left, right = 0.5 * (first + middle), 0.5 * (middle + last)
     centre = 0.5 * (left + right)
     # In the parameter of a half, u' is twice as large.
     halves = 4.0 * np.stack([first, left, centre, centre, right, last], axis=1).reshape(-1, 3)
-    return restricted(c[twice], begin, half), halves, source[twice] + np.tile([0.0, place], n)
+    return (
+        restricted(c[doubled_rows], begin, half_widths),
+        halves,
+        source[doubled_rows] + np.tile([0.0, place], n),
+    )
 
 
 def _hermite(c: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -109,30 +113,30 @@ def _hermite(c: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
     number = np.arange(_ORDER)[:, None]
     ends = []
     for u in (0.0, 1.0):
-        now = y[:, 0] if u == 0.0 else y[:, 2]
-        rate = 2.0 * (y[:, 1] - y[:, 0] if u == 0.0 else y[:, 2] - y[:, 1])
+        rate2 = y[:, 0] if u == 0.0 else y[:, 2]
+        rate2_slope = 2.0 * (y[:, 1] - y[:, 0] if u == 0.0 else y[:, 2] - y[:, 1])
         first = c[:, 1] if u == 0.0 else (number * c).sum(axis=1)
         second = 2.0 * c[:, 2] if u == 0.0 else (number * (number - 1) * c).sum(axis=1)
         ends.append(
             (
-                first * (np.sqrt(now) * duration_s)[:, None],
-                second * (now * duration_s**2)[:, None]
-                + first * (0.5 * rate * duration_s**2)[:, None],
+                first * (np.sqrt(rate2) * duration_s)[:, None],
+                second * (rate2 * duration_s**2)[:, None]
+                + first * (0.5 * rate2_slope * duration_s**2)[:, None],
             )
         )
     (v0, a0), (v1, a1) = ends
     q0 = c[:, 0]
     # Without the position itself: its rounding, over the cube of a short time, would be a jerk.
-    gone = c[:, 1:].sum(axis=1) - v0 - 0.5 * a0
-    slope, bend = v1 - v0 - a0, a1 - a0
+    rise_rest = c[:, 1:].sum(axis=1) - v0 - 0.5 * a0
+    velocity_rest, acceleration_rest = v1 - v0 - a0, a1 - a0
     return np.stack(
         [
             q0,
             v0,
             0.5 * a0,
-            10.0 * gone - 4.0 * slope + 0.5 * bend,
-            -15.0 * gone + 7.0 * slope - bend,
-            6.0 * gone - 3.0 * slope + 0.5 * bend,
+            10.0 * rise_rest - 4.0 * velocity_rest + 0.5 * acceleration_rest,
+            -15.0 * rise_rest + 7.0 * velocity_rest - acceleration_rest,
+            6.0 * rise_rest - 3.0 * velocity_rest + 0.5 * acceleration_rest,
         ],
         axis=1,
     ), duration_s
@@ -142,10 +146,10 @@ def _beyond(
     coefficients: FloatArray, duration_s: FloatArray, limits: Limits
 ) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
     """Return which polynomials may exceed a limit, by their Bernstein coefficients."""
-    out = np.zeros(len(duration_s), dtype=bool)
+    exceeds = np.zeros(len(duration_s), dtype=bool)
     for _, share in _shares(coefficients, duration_s, limits):
-        out |= share > _WITHIN
-    return out
+        exceeds |= share > _WITHIN
+    return exceeds
 
 
 def _stretch(coefficients: FloatArray, duration_s: FloatArray, limits: Limits) -> float:
@@ -175,8 +179,8 @@ def _shares(
         pushes = _bernstein(acceleration) / time_s**2
         yield 2, used_shares(_bernstein(velocity), pushes, limits.sides).max(axis=1)
     if limits.along is not None and np.isfinite(limits.along.centripetal):
-        bent = across(coefficients[:, :, :-1] * limits.along.radius_m)
-        yield 2, bent / (limits.along.centripetal * duration_s**2)
+        across_bound = across(coefficients[:, :, :-1] * limits.along.radius_m)
+        yield 2, across_bound / (limits.along.centripetal * duration_s**2)
     for demand in limits.demand:
         share = velocity * (demand[:, 0] / time_s)
         share[:, :-1] += acceleration * (demand[:, 1] / time_s**2)

@@ -57,15 +57,16 @@ class Limits:
         """Return the limits with those along the path as one more axis: the travelled length."""
         if self.along is None:
             return self
-        own = self.along
+        path_limits = self.along
         speeding, braking = (
-            np.append(limit, along) for limit, along in zip(self.sides, own.sides, strict=True)
+            np.append(limit, along)
+            for limit, along in zip(self.sides, path_limits.sides, strict=True)
         )
         return replace(
             self,
-            velocity=np.append(self.velocity, own.velocity),
+            velocity=np.append(self.velocity, path_limits.velocity),
             acceleration=speeding,
-            jerk=np.append(self.jerk, own.jerk),
+            jerk=np.append(self.jerk, path_limits.jerk),
             demand=np.pad(self.demand, ((0, 0), (0, 1), (0, 0))),
             deceleration=None if np.array_equal(speeding, braking) else braking,
         )
@@ -108,30 +109,35 @@ def axis_limits(
         (axes,) length at the tool of one unit of each axis, for limits along the path; by default
         the machine's.
     """
-    column = [machine.axis_names.index(axis) for axis in axes]
-    speeding, braking = (limit[column] for limit in machine.sides)
+    columns = [machine.axis_names.index(axis) for axis in axes]
+    speeding, braking = (limit[columns] for limit in machine.sides)
     return Limits(
-        velocity=machine.velocity_limit[column],
+        velocity=machine.velocity_limit[columns],
         acceleration=speeding,
         deceleration=None if np.array_equal(speeding, braking) else braking,
-        jerk=machine.jerk_limit[column],
-        along=along_of(machine, machine.radius_m[column] if radius_m is None else radius_m),
+        jerk=machine.jerk_limit[columns],
+        along=along_of(machine, machine.radius_m[columns] if radius_m is None else radius_m),
     )
 
 
 def along_of(machine: Machine, radius_m: FloatArray) -> AlongPath | None:
     """Return the limits of a machine's tool along its path, None without any."""
-    own = machine.path
-    if own is None:
+    path_limits = machine.path
+    if path_limits is None:
         return None
     velocity, acceleration, jerk, centripetal = (
         np.inf if limit is None else limit.si
-        for limit in (own.velocity, own.acceleration, own.jerk, own.centripetal)
+        for limit in (
+            path_limits.velocity,
+            path_limits.acceleration,
+            path_limits.jerk,
+            path_limits.centripetal,
+        )
     )
     return AlongPath(
         velocity=velocity,
         acceleration=acceleration,
-        deceleration=None if own.deceleration is None else own.deceleration.si,
+        deceleration=None if path_limits.deceleration is None else path_limits.deceleration.si,
         jerk=jerk,
         centripetal=centripetal,
         radius_m=radius_m,
@@ -164,13 +170,13 @@ def limits_of(
     PlanError
         If friction and reserve leave a drive no output to move with.
     """
-    own = axis_limits(machine, axes, radius_m)
+    limits = axis_limits(machine, axes, radius_m)
     demand = demands_of(machine, axes, of_loads=of_loads)
     with np.errstate(divide="ignore"):
-        most = (1.0 / demand[:, :, 1]).min(axis=0)
-    speeding, braking = (np.minimum(limit, most) for limit in own.sides)
+        acceleration_of_drives = (1.0 / demand[:, :, 1]).min(axis=0)
+    speeding, braking = (np.minimum(limit, acceleration_of_drives) for limit in limits.sides)
     return replace(
-        own,
+        limits,
         acceleration=speeding,
         deceleration=None if np.array_equal(speeding, braking) else braking,
         demand=demand[demand[:, :, 0].any(axis=1)],
@@ -180,9 +186,9 @@ def limits_of(
 def reserve_of(machine: Machine, axis: str) -> tuple[float, float]:
     """Return the shares of voltage and of current of an axis that are kept for its loop."""
     amplifier = machine.drive_of(axis).amplifier
-    volts = RESERVE if amplifier.reserve is None else amplifier.reserve.si
-    own = amplifier.current_reserve
-    return volts, volts if own is None else own.si
+    voltage_reserve = RESERVE if amplifier.reserve is None else amplifier.reserve.si
+    current_reserve = amplifier.current_reserve
+    return voltage_reserve, voltage_reserve if current_reserve is None else current_reserve.si
 
 
 def demands_of(machine: Machine, axes: tuple[str, ...], *, of_loads: bool = False) -> FloatArray:
@@ -200,11 +206,11 @@ def demands_of(machine: Machine, axes: tuple[str, ...], *, of_loads: bool = Fals
     for k, axis in enumerate(axes):
         if machine.axes[axis].drive:  # a position interface: its torque is judged
             continue
-        volts, current = reserve_of(machine, axis)
+        voltage_reserve, current_reserve = reserve_of(machine, axis)
         for m, (limit, (still, speed, push)) in enumerate(_needs(machine, axis, of_loads)):
-            reserve = current if _UNITS[m] == "A" else volts
-            left = (1.0 - reserve) * limit - still
-            if not left > 0.0:
+            reserve = current_reserve if _UNITS[m] == "A" else voltage_reserve
+            output_left = (1.0 - reserve) * limit - still
+            if not output_left > 0.0:
                 raise PlanError(
                     f"axis {axis}: friction takes {still:.3g} of the {limit:.3g} {_UNITS[m]} of "
                     f"drives.{machine.controller_of(axis).drive}, and {reserve:.0%} are kept for "
@@ -212,7 +218,7 @@ def demands_of(machine: Machine, axes: tuple[str, ...], *, of_loads: bool = Fals
                     place=machine.place,
                     remedy="Lower friction or reserve, or give the drive more.",
                 )
-            demand[m, k] = speed / left, push / left
+            demand[m, k] = speed / output_left, push / output_left
     return demand
 
 
@@ -223,6 +229,6 @@ def _needs(machine: Machine, axis: str, of_loads: bool) -> list[tuple[float, Flo
     current, winding = drive_needs(machine, axis)
     if of_loads and machine.drive_of(axis).amplifier.mode == "voltage":
         tick_s = float(machine.clock(machine.controller_of(axis).clock).period_s)
-        decayed = tick_s * winding[1] / winding[2]
-        current = current * np.array([1.0, 1.0, decayed / -np.expm1(-decayed)])
+        decay_exponent = tick_s * winding[1] / winding[2]
+        current = current * np.array([1.0, 1.0, decay_exponent / -np.expm1(-decay_exponent)])
     return [(limit, need) for limit, need, _ in drive_limits(machine, axis, current, winding)]

@@ -38,12 +38,12 @@ BASE = np.array([[1.0, -2.0, 1.0], [0.0, 2.0, -2.0], [0.0, 0.0, 1.0]])
 def bernstein_of(power, degree, out):
     """Write the Bernstein coefficients of a polynomial in powers into ``out[: degree + 1]``."""
     for i in range(degree + 1):
-        total = 0.0
+        coefficient = 0.0
         ratio = 1.0  # binomial(i, k) / binomial(degree, k)
         for k in range(i + 1):
-            total += ratio * power[k]
+            coefficient += ratio * power[k]
             ratio *= (i - k) / (degree - k) if degree > k else 0.0
-        out[i] = total
+        out[i] = coefficient
 
 
 @njit()
@@ -58,21 +58,21 @@ def degree_of(c, j):
 @njit()
 def _fastest(c, j, degree):
     """Return a bound of |q_u| of one axis."""
-    slope, one = np.zeros(ORDER), np.zeros(ORDER)
+    slope, bernstein = np.zeros(ORDER), np.zeros(ORDER)
     for k in range(degree):
         slope[k] = (k + 1) * c[k + 1, j]
-    bernstein_of(slope, degree - 1, one)
-    most = 0.0
+    bernstein_of(slope, degree - 1, bernstein)
+    largest = 0.0
     for k in range(ORDER):  # of an array, max() and min() take as long to compile as this function
-        most = max(most, abs(one[k]))
-    return most
+        largest = max(largest, abs(bernstein[k]))
+    return largest
 
 
 @njit()
 def acceleration_rows(c, j, degree, limit, out):
     """Write the rows of one curved axis; return their number: its degree plus 1, made odd."""
-    odd = 3 if degree <= 3 else 5
-    power, one = np.zeros(ORDER + 2), np.zeros(ORDER + 2)
+    row_degree = 3 if degree <= 3 else 5
+    power, bernstein = np.zeros(ORDER + 2), np.zeros(ORDER + 2)
     for m in range(3):
         power[:] = 0.0
         for k in range(1, degree + 1):
@@ -83,17 +83,17 @@ def acceleration_rows(c, j, degree, limit, out):
                     power[k - 2 + s] += second * BASE[m, s]
                 if s >= 1:
                     power[k - 1 + s - 1] += 0.5 * first * s * BASE[m, s]
-        bernstein_of(power, odd, one)
-        for i in range(odd + 1):
-            out[i, m] = one[i] / limit
-    return odd + 1
+        bernstein_of(power, row_degree, bernstein)
+        for i in range(row_degree + 1):
+            out[i, m] = bernstein[i] / limit
+    return row_degree + 1
 
 
 @njit()
 def _jerk_rows(c, j, degree, limit, out, points):
     """Write the rows of one curved axis and the weights on their right side."""
-    even = 2 if degree <= 3 else 4
-    power, one = np.zeros(ORDER + 2), np.zeros(ORDER + 2)
+    row_degree = 2 if degree <= 3 else 4
+    power, bernstein = np.zeros(ORDER + 2), np.zeros(ORDER + 2)
     for m in range(3):
         power[:] = 0.0
         for k in range(1, degree + 1):
@@ -107,12 +107,12 @@ def _jerk_rows(c, j, degree, limit, out, points):
                     power[k - 2 + s - 1] += 1.5 * second * s * BASE[m, s]
                 if s == 2:
                     power[k - 1] += first * BASE[m, s]
-        bernstein_of(power, even, one)
-        for i in range(even + 1):
-            out[i, m] = one[i] / limit
-    for i in range(even + 1):
-        points[i] = i if even == 2 else 3 + i
-    return even + 1
+        bernstein_of(power, row_degree, bernstein)
+        for i in range(row_degree + 1):
+            out[i, m] = bernstein[i] / limit
+    for i in range(row_degree + 1):
+        points[i] = i if row_degree == 2 else 3 + i
+    return row_degree + 1
 
 
 @njit()
@@ -164,15 +164,15 @@ def _demand_rows(c, j, degree, share_v, share_a, out):
     A row is seven numbers: the factors of y0, y1, y2, their factors with the tangent's slope, and
     the factor of its constant.
     """
-    top = 2 if degree == 1 else degree + 1
-    power, one = np.zeros(ORDER + 2), np.zeros(ORDER + 2)
+    row_degree = 2 if degree == 1 else degree + 1
+    power, bernstein = np.zeros(ORDER + 2), np.zeros(ORDER + 2)
     for k in range(1, degree + 1):
         power[k - 1] = share_v * k * c[k, j]
-    bernstein_of(power, top, one)
-    low, high = one[0], one[0]
-    for i in range(top + 1):
-        low, high = min(low, one[i]), max(high, one[i])
-        out[i, 6] = one[i]
+    bernstein_of(power, row_degree, bernstein)
+    low, high = bernstein[0], bernstein[0]
+    for i in range(row_degree + 1):
+        low, high = min(low, bernstein[i]), max(high, bernstein[i])
+        out[i, 6] = bernstein[i]
     for m in range(3):
         power[:] = 0.0
         for k in range(1, degree + 1):
@@ -183,17 +183,17 @@ def _demand_rows(c, j, degree, share_v, share_a, out):
                     power[k - 2 + s] += share_a * second * BASE[m, s]
                 if s >= 1:
                     power[k - 1 + s - 1] += share_a * 0.5 * first * s * BASE[m, s]
-        bernstein_of(power, top, one)
-        for i in range(top + 1):
-            out[i, m] = one[i]
+        bernstein_of(power, row_degree, bernstein)
+        for i in range(row_degree + 1):
+            out[i, m] = bernstein[i]
         power[:] = 0.0
         for k in range(1, degree + 1):
             for s in range(3):
                 power[k - 1 + s] += share_v * k * c[k, j] * BASE[m, s]
-        bernstein_of(power, top, one)
-        for i in range(top + 1):
-            out[i, 3 + m] = one[i]
-    rows = top + 1
+        bernstein_of(power, row_degree, bernstein)
+        for i in range(row_degree + 1):
+            out[i, 3 + m] = bernstein[i]
+    rows = row_degree + 1
     if high <= 0.0:
         for i in range(rows):
             for a in range(7):
@@ -223,8 +223,8 @@ def demand_rows(c, demand, limit_a, top):
     n, axes = len(c), c.shape[2]
     first = np.zeros(n + 1, dtype=np.int64)
     out = np.zeros((64, 7))
-    own = np.zeros((2 * (ORDER + 2), 7))
-    used = 0
+    axis_rows = np.zeros((2 * (ORDER + 2), 7))
+    row_count = 0
     for i in range(n):
         for j in range(axes):
             degree = degree_of(c[i], j)
@@ -237,19 +237,20 @@ def demand_rows(c, demand, limit_a, top):
                 fastest = _fastest(c[i], j, degree) * np.sqrt(top[i])
                 if share_v * fastest + share_a * limit_a[j] <= 1.0:
                     continue
-                rows = _demand_rows(c[i], j, degree, share_v, share_a, own)
-                if used + rows > len(out):
-                    grown = np.zeros((2 * len(out) + rows, 7))
-                    for i_row in range(used):  # no slices: assigning them takes long to compile
+                rows = _demand_rows(c[i], j, degree, share_v, share_a, axis_rows)
+                if row_count + rows > len(out):
+                    larger_out = np.zeros((2 * len(out) + rows, 7))
+                    # No slices: assigning them takes long to compile.
+                    for i_row in range(row_count):
                         for a in range(7):
-                            grown[i_row, a] = out[i_row, a]
-                    out = grown
+                            larger_out[i_row, a] = out[i_row, a]
+                    out = larger_out
                 for i_row in range(rows):
                     for a in range(7):
-                        out[used + i_row, a] = own[i_row, a]
-                used += rows
-        first[i + 1] = used
-    return out[:used].copy(), first
+                        out[row_count + i_row, a] = axis_rows[i_row, a]
+                row_count += rows
+        first[i + 1] = row_count
+    return out[:row_count].copy(), first
 
 
 @njit()
@@ -257,9 +258,9 @@ def assemble(c, guard, limit_v, limit_a, limit_j, cap):
     """Return the rows of all elements, their numbers, and the largest y of each."""
     n, axes = len(c), c.shape[2]
     acc = np.zeros((n, ORDER * (axes + guard.shape[2]) + 2, 3))
-    most = (ORDER - 1) * axes + 3
-    jerk = np.zeros((n, most, 3))
-    points = np.zeros((n, most), dtype=np.int8)
+    most_jerk_rows = (ORDER - 1) * axes + 3
+    jerk = np.zeros((n, most_jerk_rows, 3))
+    points = np.zeros((n, most_jerk_rows), dtype=np.int8)
     count = np.zeros((n, 2), dtype=np.int64)
     top = np.empty(n)
     limits = (limit_v, limit_a, limit_j)
@@ -277,13 +278,13 @@ _COLUMNS = 7  # of a row of a drive; the last four multiply the tangent of a vel
 def direction_of(c, j):
     """Return 1 if axis ``j`` never goes back, -1 if it never goes forward, else 0."""
     degree = degree_of(c, j)
-    slope, one = np.zeros(ORDER), np.zeros(ORDER)
+    slope, bernstein = np.zeros(ORDER), np.zeros(ORDER)
     for k in range(degree):
         slope[k] = (k + 1) * c[k + 1, j]
-    bernstein_of(slope, degree - 1, one)
-    low, high = one[0], one[0]
+    bernstein_of(slope, degree - 1, bernstein)
+    low, high = bernstein[0], bernstein[0]
     for k in range(1, ORDER):
-        low, high = min(low, one[k]), max(high, one[k])
+        low, high = min(low, bernstein[k]), max(high, bernstein[k])
     if low >= 0.0:
         return 1.0
     return -1.0 if high <= 0.0 else 0.0
@@ -303,19 +304,19 @@ def with_braking(drive, begin, c, speeding, braking):
     n, axes = len(c), c.shape[2]
     out = np.zeros((len(drive) + n * axes * 2 * ORDER, _COLUMNS))
     first = np.zeros(n + 1, dtype=np.int64)
-    own = np.zeros((ORDER, 3))
-    used = 0
+    axis_rows = np.zeros((ORDER, 3))
+    row_count = 0
     for i in range(n):
         for k in range(begin[i], begin[i + 1]):
             for a in range(_COLUMNS):  # assigning the row takes seconds to compile
-                out[used, a] = drive[k, a]
-            used += 1
+                out[row_count, a] = drive[k, a]
+            row_count += 1
         for j in range(axes):
             degree = degree_of(c[i], j)
             if degree == 0 or speeding[j] == braking[j]:
                 continue
-            least = min(speeding[j], braking[j])
-            rows = acceleration_rows(c[i], j, degree, least, own)
+            lower_limit = min(speeding[j], braking[j])
+            rows = acceleration_rows(c[i], j, degree, lower_limit, axis_rows)
             # Against the motion if braking is weaker, with it if speeding up is.
             side = direction_of(c[i], j) * (1.0 if speeding[j] < braking[j] else -1.0)
             for sign in (1.0, -1.0):
@@ -323,10 +324,10 @@ def with_braking(drive, begin, c, speeding, braking):
                     continue
                 for k in range(rows):
                     for a in range(3):
-                        out[used, a] = sign * own[k, a]
-                    used += 1
-        first[i + 1] = used
-    return out[:used].copy(), first
+                        out[row_count, a] = sign * axis_rows[k, a]
+                    row_count += 1
+        first[i + 1] = row_count
+    return out[:row_count].copy(), first
 
 
 @njit()
@@ -337,7 +338,7 @@ def braking_shares(c, y, speeding, braking, places):
     for i in range(n):
         for k in range(len(places)):
             u = places[k]
-            now = (1 - u) ** 2 * y[i, 0] + 2 * u * (1 - u) * y[i, 1] + u * u * y[i, 2]
+            y_now = (1 - u) ** 2 * y[i, 0] + 2 * u * (1 - u) * y[i, 1] + u * u * y[i, 2]
             rate = 2 * ((1 - u) * (y[i, 1] - y[i, 0]) + u * (y[i, 2] - y[i, 1]))
             for j in range(axes):
                 first, second = 0.0, 0.0
@@ -345,7 +346,7 @@ def braking_shares(c, y, speeding, braking, places):
                     first = first * u + m * c[i, m, j]
                     if m >= 2:
                         second = second * u + m * (m - 1) * c[i, m, j]
-                push = second * now + 0.5 * first * rate
+                push = second * y_now + 0.5 * first * rate
                 out[i, k, j] = abs(push) / (speeding[j] if push * first > 0.0 else braking[j])
     return out
 
@@ -363,11 +364,11 @@ def used_shares(
         (axes,) limits of speeding up, and of braking.
     """
     speeding, braking = limits
-    least = np.minimum(speeding, braking)
+    lower_limit = np.minimum(speeding, braking)
     forward, backward = (velocity >= 0.0).all(axis=1), (velocity <= 0.0).all(axis=1)
-    up = np.where(forward, speeding, np.where(backward, braking, least))
-    down = np.where(forward, braking, np.where(backward, speeding, least))
-    return np.asarray(np.maximum(push.max(axis=1) / up, -push.min(axis=1) / down))
+    limit_up = np.where(forward, speeding, np.where(backward, braking, lower_limit))
+    limit_down = np.where(forward, braking, np.where(backward, speeding, lower_limit))
+    return np.asarray(np.maximum(push.max(axis=1) / limit_up, -push.min(axis=1) / limit_down))
 
 
 @njit()
@@ -381,15 +382,15 @@ def shares(c, guard, y, limits, demand, cap, places):
     """
     limit_v, limit_a, limit_j = limits
     n, axes = len(c), c.shape[2]
-    behind = 3 * axes + 1
-    out = np.zeros((n, len(places), behind + len(demand) + guard.shape[2]))
+    first_demand = 3 * axes + 1
+    out = np.zeros((n, len(places), first_demand + len(demand) + guard.shape[2]))
     for i in range(n):
         for k in range(len(places)):
             u = places[k]
-            now = (1 - u) ** 2 * y[i, 0] + 2 * u * (1 - u) * y[i, 1] + u * u * y[i, 2]
+            y_now = (1 - u) ** 2 * y[i, 0] + 2 * u * (1 - u) * y[i, 1] + u * u * y[i, 2]
             rate = 2 * ((1 - u) * (y[i, 1] - y[i, 0]) + u * (y[i, 2] - y[i, 1]))
-            bend = 2 * (y[i, 0] - 2 * y[i, 1] + y[i, 2])
-            root = np.sqrt(now)
+            y_bend = 2 * (y[i, 0] - 2 * y[i, 1] + y[i, 2])
+            root = np.sqrt(y_now)
             for j in range(axes):
                 first, second, third = 0.0, 0.0, 0.0
                 for m in range(ORDER - 1, 0, -1):
@@ -399,13 +400,13 @@ def shares(c, guard, y, limits, demand, cap, places):
                     if m >= 3:
                         third = third * u + m * (m - 1) * (m - 2) * c[i, m, j]
                 out[i, k, 3 * j] = abs(first) * root / limit_v[j]
-                out[i, k, 3 * j + 1] = abs(second * now + 0.5 * first * rate) / limit_a[j]
-                jerk = root * (third * now + 1.5 * second * rate + 0.5 * first * bend)
+                out[i, k, 3 * j + 1] = abs(second * y_now + 0.5 * first * rate) / limit_a[j]
+                jerk = root * (third * y_now + 1.5 * second * rate + 0.5 * first * y_bend)
                 out[i, k, 3 * j + 2] = abs(jerk) / limit_j[j]
                 for m in range(len(demand)):
                     demanded = demand[m, j, 0] * first * root
-                    demanded += demand[m, j, 1] * (second * now + 0.5 * first * rate)
-                    out[i, k, behind + m] = max(out[i, k, behind + m], abs(demanded))
+                    demanded += demand[m, j, 1] * (second * y_now + 0.5 * first * rate)
+                    out[i, k, first_demand + m] = max(out[i, k, first_demand + m], abs(demanded))
             out[i, k, 3 * axes] = root / np.sqrt(cap[i])
             for j in range(guard.shape[2]):
                 first, second = 0.0, 0.0
@@ -413,5 +414,5 @@ def shares(c, guard, y, limits, demand, cap, places):
                     first = first * u + m * guard[i, m, j]
                     if m >= 2:
                         second = second * u + m * (m - 1) * guard[i, m, j]
-                out[i, k, behind + len(demand) + j] = abs(second * now + 0.5 * first * rate)
+                out[i, k, first_demand + len(demand) + j] = abs(second * y_now + 0.5 * first * rate)
     return out

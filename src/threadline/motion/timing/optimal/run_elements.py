@@ -53,12 +53,12 @@ class RunElements:
 
     def in_units_of(self, unit: float) -> RunElements:
         """Return the same in a common parameter of another unit."""
-        end = self.ending
+        ending = self.ending
         return replace(
             self,
             elements=replace(self.elements, length=self.elements.length / unit),
             length=self.length / unit,
-            ending=None if end is None else replace(end, length=end.length / unit),
+            ending=None if ending is None else replace(ending, length=ending.length / unit),
         )
 
 
@@ -91,11 +91,11 @@ def run_elements(
     """
     if limits.along is not None:
         run = divided(run)
-    moves = np.abs(run.coefficients[:, 1:]).max(axis=(1, 2)) > 0.0
-    moves = _beyond_rounding(run, moves, radius_m, before is None, to_rest)
-    if not moves.any():
+    is_moving = np.abs(run.coefficients[:, 1:]).max(axis=(1, 2)) > 0.0
+    is_moving = _beyond_rounding(run, is_moving, radius_m, before is None, to_rest)
+    if not is_moving.any():
         return None
-    c = run.coefficients[moves].copy()
+    c = run.coefficients[is_moving].copy()
     if c.shape[1] < 4:
         c = np.pad(c, ((0, 0), (0, 4 - c.shape[1]), (0, 0)))
     _reach_ends(
@@ -103,27 +103,34 @@ def run_elements(
         run.coefficients[0, 0] if before is None else None,
         run.coefficients[-1].sum(axis=0) if to_rest else None,
     )
-    begin, slow = 1.0, min(slow, len(c))
+    first_length, slow = 1.0, min(slow, len(c))
     if before is not None:
         joint = np.concatenate([before.last, c[:1]])
-        begin = float(before.length[-1] / np.sqrt(factors(joint, radius_m)[0]))
-    ratio, own = 1.0 / np.sqrt(factors(c, radius_m)[:-1]), c[-1:]
-    length = begin * np.concatenate([[1.0], np.cumprod(ratio)])
-    nominal_s, operation, last = run.nominal_s[moves], run.operation[moves], slope(own)[0]
+        first_length = float(before.length[-1] / np.sqrt(factors(joint, radius_m)[0]))
+    ratio, last_piece = 1.0 / np.sqrt(factors(c, radius_m)[:-1]), c[-1:]
+    length = first_length * np.concatenate([[1.0], np.cumprod(ratio)])
+    nominal_s, operation, last_rate = (
+        run.nominal_s[is_moving],
+        run.operation[is_moving],
+        slope(last_piece)[0],
+    )
     if limits.along is not None:
         c = with_length(c, limits.along.radius_m)
-        last = np.append(last, c[-1, :, -1] @ np.arange(6.0))
-    share = _lead_share(c[0, 1], nominal_s[0], limits), _lead_share(last, nominal_s[-1], limits)
+        last_rate = np.append(last_rate, c[-1, :, -1] @ np.arange(6.0))
+    lead_shares = (
+        _lead_share(c[0, 1], nominal_s[0], limits),
+        _lead_share(last_rate, nominal_s[-1], limits),
+    )
     return RunElements(
         elements=elements_of(
-            RunPieces(c, ratio, nominal_s, operation, begin),
+            RunPieces(c, ratio, nominal_s, operation, first_length),
             from_rest=before is None,
             to_rest=to_rest,
-            lead_share=share,
+            lead_share=lead_shares,
             dense=dense,
         ),
         length=length,
-        last=own,
+        last=last_piece,
         ending=None
         if to_rest
         else elements_of(
@@ -136,27 +143,27 @@ def run_elements(
             ),
             from_rest=False,
             to_rest=True,
-            lead_share=share,
+            lead_share=lead_shares,
         ),
         slow=slow,
     )
 
 
 def _beyond_rounding(
-    run: PieceBlock, moves: BoolArray, radius_m: FloatArray, from_rest: bool, to_rest: bool
+    run: PieceBlock, is_moving: BoolArray, radius_m: FloatArray, from_rest: bool, to_rest: bool
 ) -> BoolArray:
-    """Return ``moves`` without the pieces of negligible length beside a rest.
+    """Return ``is_moving`` without the pieces of negligible length beside a rest.
 
     Beside a chord of nanometres a spline has spans of femtometres: less than the rounding of a
     position, so that a motion from rest along them has no valid digits.
     """
-    long = np.abs(run.coefficients[:, 1:] * radius_m).sum(axis=1).max(axis=1) > COINCIDENT_M
-    inner = moves.copy()
+    is_long = np.abs(run.coefficients[:, 1:] * radius_m).sum(axis=1).max(axis=1) > COINCIDENT_M
+    is_kept = is_moving.copy()
     if from_rest:
-        inner &= np.logical_or.accumulate(long)
+        is_kept &= np.logical_or.accumulate(is_long)
     if to_rest:
-        inner &= np.logical_or.accumulate(long[::-1])[::-1]
-    return inner if inner.any() else moves
+        is_kept &= np.logical_or.accumulate(is_long[::-1])[::-1]
+    return is_kept if is_kept.any() else is_moving
 
 
 def _reach_ends(c: FloatArray, start: FloatArray | None, end: FloatArray | None) -> None:
@@ -167,22 +174,22 @@ def _reach_ends(c: FloatArray, start: FloatArray | None, end: FloatArray | None)
     end.
     """
     order, nothing = c.shape[1], np.zeros(c.shape[2])
-    began = nothing if start is None else start - c[0, 0]
-    ended = nothing if end is None else end - c[-1].sum(axis=0)
+    start_shift = nothing if start is None else start - c[0, 0]
+    end_shift = nothing if end is None else end - c[-1].sum(axis=0)
     highest = np.eye(order)[-1]
-    for k, way, power in (
-        (-1, ended, highest),
-        (0, began, np.polynomial.polynomial.polypow([1.0, -1.0], order - 1)),
+    for k, shift, power in (
+        (-1, end_shift, highest),
+        (0, start_shift, np.polynomial.polynomial.polypow([1.0, -1.0], order - 1)),
     ):
-        if not way.any():
+        if not shift.any():
             continue
         line = not c[k, 2:].any()
-        hardly = len(c) == 1 or np.abs(way).max() < _TURNED * np.abs(c[k, 1]).max()
-        bend = power
-        if line and hardly:
-            bend = np.zeros(order)
-            bend[:2] = power[0], 1.0 - 2.0 * power[0]
-        c[k] += bend[:, None] * way
+        hardly_turns = len(c) == 1 or np.abs(shift).max() < _TURNED * np.abs(c[k, 1]).max()
+        change = power
+        if line and hardly_turns:
+            change = np.zeros(order)
+            change[:2] = power[0], 1.0 - 2.0 * power[0]
+        c[k] += change[:, None] * shift
 
 
 def _lead_share(rate: FloatArray, nominal_s: float, limits: Limits) -> float:
@@ -199,5 +206,5 @@ def _lead_share(rate: FloatArray, nominal_s: float, limits: Limits) -> float:
     rise_s = np.maximum(2.0 * by_jerk_s, speed / limits.acceleration)
     lead_s = _AT_SPEED * float(rise_s.max())
     # The bound on a lead-in's rate bounds the jerk at its start, by 1.5 of speed / lead_s^2.
-    jerky_s = float(by_jerk_s.max())
-    return (min(lead_s, _AT_JERK * jerky_s) if jerky_s > 0.0 else lead_s) / least_s
+    longest_jerk_s = float(by_jerk_s.max())
+    return (min(lead_s, _AT_JERK * longest_jerk_s) if longest_jerk_s > 0.0 else lead_s) / least_s

@@ -72,11 +72,11 @@ class Solution:
 
     def part(self, first: int, stop: int) -> Solution:
         """Return the motion through elements ``first`` to before ``stop``."""
-        of = self.elements
-        x = bernstein(self.b, of.length) * of.length[:, None] ** 2
+        elements = self.elements
+        x = bernstein(self.b, elements.length) * elements.length[:, None] ** 2
         return replace(
             self,
-            elements=of.take(slice(first, stop)),
+            elements=elements.take(slice(first, stop)),
             b=np.concatenate([x[first, :1], x[first:stop, 1], x[stop - 1, 2:]]),
         )
 
@@ -88,10 +88,10 @@ class Solution:
 
 def bernstein(b: FloatArray, length: FloatArray) -> FloatArray:
     """Return the (n, 3) Bernstein coefficients of u'^2 on elements of ``length``."""
-    before = np.concatenate([[0.0], length[:-1]])
-    after = np.concatenate([length[1:], [0.0]])
-    first = (length * b[:-2] + before * b[1:-1]) / (before + length)
-    last = (after * b[1:-1] + length * b[2:]) / (length + after)
+    length_before = np.concatenate([[0.0], length[:-1]])
+    length_after = np.concatenate([length[1:], [0.0]])
+    first = (length * b[:-2] + length_before * b[1:-1]) / (length_before + length)
+    last = (length_after * b[1:-1] + length * b[2:]) / (length + length_after)
     return np.asarray(np.stack([first, b[1:-1], last], axis=1) / length[:, None] ** 2)
 
 
@@ -212,10 +212,10 @@ class Problem:
 
     def _begin(self, most: FloatArray | None = None) -> None:
         """Start from a slow motion, with (n,) x of ``most`` at most."""
-        allowed = evenly(self.elements, self.limits)
+        largest_x = evenly(self.elements, self.limits)
         if most is not None:
-            allowed = np.minimum(allowed, most)
-        self.b, self.tangent = feasible(self.elements.length, self.rows, allowed)
+            largest_x = np.minimum(largest_x, most)
+        self.b, self.tangent = feasible(self.elements.length, self.rows, largest_x)
 
     def _slow(self, allowed: float, *, anew: bool) -> None:
         """Slow the motion evenly if it uses more than ``allowed`` of a limit.
@@ -223,10 +223,10 @@ class Problem:
         ``anew``: set each tangent to its best first.
         """
         length, share = self.elements.length, np.empty(len(self.elements))
-        most = used(self.b, length, self.rows, self.tangent, share, anew)
-        if most <= allowed or self.held != (0, 0):
+        largest_share = used(self.b, length, self.rows, self.tangent, share, anew)
+        if largest_share <= allowed or self.held != (0, 0):
             return  # a motion with held ends is not slowed: rounding errors are accepted
-        self.b = self.b * (_KEPT / most)
+        self.b = self.b * (_KEPT / largest_share)
         if not used(self.b, length, self.rows, self.tangent, share, False) < 1.0:
             self._begin()  # rounding left it on a limit
 
@@ -279,20 +279,20 @@ class Problem:
         limits = of.velocity, of.largest_acceleration, of.jerk
         all_y = bernstein(self.b, at.length)
         for begin in range(0, len(at), _AT_A_TIME):
-            own = slice(begin, begin + _AT_A_TIME)
-            c, guard, y, top = at.c[own], at.guard[own], all_y[own], self.top[own]
-            used = shares(c, guard, y, limits, of.demand, top, _PLACES)
+            rows = slice(begin, begin + _AT_A_TIME)
+            c, guard, y, top = at.c[rows], at.guard[rows], all_y[rows], self.top[rows]
+            used_block = shares(c, guard, y, limits, of.demand, top, _PLACES)
             if of.deceleration is None:
-                yield np.asarray(used)
+                yield np.asarray(used_block)
             else:
                 # First, since guards are located relative to the end.
-                yield np.concatenate([braking_shares(c, y, *of.sides, _PLACES), used], axis=2)
+                yield np.concatenate([braking_shares(c, y, *of.sides, _PLACES), used_block], axis=2)
 
     def _fastest(self) -> FloatArray:
         """Return the (axes,) largest velocities of the motion: bounds, tight for short elements."""
-        at = self.elements
-        rates = np.arange(1.0, at.c.shape[1])[:, None] * np.abs(at.c[:, 1:])
-        rate = np.sqrt(bernstein(self.b, at.length).max(axis=1))
+        elements = self.elements
+        rates = np.arange(1.0, elements.c.shape[1])[:, None] * np.abs(elements.c[:, 1:])
+        rate = np.sqrt(bernstein(self.b, elements.length).max(axis=1))
         return np.asarray((rates.sum(axis=1) * rate[:, None]).max(axis=0))
 
     def settled(self) -> int:
@@ -304,8 +304,8 @@ class Problem:
     def _idle(self) -> IntArray:
         """Return 2 for each element to cut in two, since it reaches no limit somewhere, else 1."""
         time_s = (bernstein(self.b, self.elements.length) ** -0.5).mean(axis=1)
-        used = np.concatenate([part.max(axis=2).min(axis=1) for part in self._shares()])
-        lost_s = time_s * (1.0 - used)
+        least_used = np.concatenate([part.max(axis=2).min(axis=1) for part in self._shares()])
+        lost_s = time_s * (1.0 - least_used)
         ramp_s = self.limits.ramp_s(self._fastest())
         enough_s = max(LOSS * ramp_s, _PART * self._cost_s())
         lost_s[np.cumsum(self.elements.length) <= self.fresh] = 0.0
@@ -322,21 +322,21 @@ class Problem:
 
     def _cut(self, parts: IntArray) -> None:
         self.rows = None
-        which = np.repeat(np.arange(len(parts)), parts)
+        element = np.repeat(np.arange(len(parts)), parts)
         x = bernstein(self.b, self.elements.length) * self.elements.length[:, None] ** 2
-        count = parts[which].astype(np.float64)
-        first = (np.arange(len(which)) - np.repeat(np.cumsum(parts) - parts, parts)) / count
-        last = first + 1.0 / count
+        count = parts[element].astype(np.float64)
+        begin = (np.arange(len(element)) - np.repeat(np.cumsum(parts) - parts, parts)) / count
+        end = begin + 1.0 / count
         # The blossom of the quadratic: coefficient k belongs to the nodes about element k.
-        x = x[which]
+        x = x[element]
         inner = (
-            (1.0 - first) * (1.0 - last) * x[:, 0]
-            + (first * (1.0 - last) + last * (1.0 - first)) * x[:, 1]
-            + first * last * x[:, 2]
+            (1.0 - begin) * (1.0 - end) * x[:, 0]
+            + (begin * (1.0 - end) + end * (1.0 - begin)) * x[:, 1]
+            + begin * end * x[:, 2]
         )
         self.b = np.concatenate([[self.b[0]], inner, [self.b[-1]]])
-        self.tangent = self.tangent[which] / count
+        self.tangent = self.tangent[element] / count
         self.elements = self.elements.split(parts)
-        del which, x, count, first, last, inner
+        del element, x, count, begin, end, inner
         self._assemble()
         self._slow(1.0 - _ROUNDED, anew=False)

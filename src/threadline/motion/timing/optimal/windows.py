@@ -87,24 +87,26 @@ class _Kept:
 
     def before(self, horizon_s: float) -> int:
         """Return the number of pieces that end before the horizon begins."""
-        fast = self.up_to(len(self.borders) - self.shape.slow)
-        place = _place(self.elements.take(slice(0, fast)), self.b[: fast + 2], horizon_s)
+        fast_elements = self.up_to(len(self.borders) - self.shape.slow)
+        place = _place(
+            self.elements.take(slice(0, fast_elements)), self.b[: fast_elements + 2], horizon_s
+        )
         count = int(np.searchsorted(self.borders, place * (1.0 + _EVEN), side="right"))
-        most = len(self.borders) - LEAST_AHEAD
-        return max(min(max(count, len(self.borders) - MOST_AHEAD), most), 1)
+        most_pieces = len(self.borders) - LEAST_AHEAD
+        return max(min(max(count, len(self.borders) - MOST_AHEAD), most_pieces), 1)
 
     def left(self, pieces: int) -> tuple[Solution, _Kept]:
         """Return the motion through ``pieces`` pieces, and the rest of the plan."""
-        at, b = self.elements, self.b
+        elements, b = self.elements, self.b
         m = self.up_to(pieces)
-        node = float(bernstein(b, at.length)[m, 0]) * at.length[m] ** 2
-        gone = Solution(elements=at, b=b, steps=0, gap=0.0).part(0, m)
+        node = float(bernstein(b, elements.length)[m, 0]) * elements.length[m] ** 2
+        done_motion = Solution(elements=elements, b=b, steps=0, gap=0.0).part(0, m)
         # The common parameter starts anew: over millions of pieces its size would drift. Scaling by
         # a power of two rounds no digit, so that limits met to the last digit stay met.
-        unit = float(2.0 ** -np.round(np.log2(at.length[m])))
-        stays = at.take(slice(m, None))
-        return gone, _Kept(
-            elements=replace(stays, length=unit * stays.length),
+        unit = float(2.0 ** -np.round(np.log2(elements.length[m])))
+        rest_elements = elements.take(slice(m, None))
+        return done_motion, _Kept(
+            elements=replace(rest_elements, length=unit * rest_elements.length),
             b=unit**2 * np.concatenate([[node], b[m + 1 :]]),
             tangent=self.tangent[m:],
             ending=unit**2 * self.ending,
@@ -155,40 +157,40 @@ def windowed(
         The last pieces read, and the time.
     """
     kept: _Kept | None = None
-    now, horizon_s = begin_s, HORIZON * _braking_s(limits)
+    now_s, horizon_s = begin_s, HORIZON * _braking_s(limits)
     while True:
         added = ADDED if kept is None else kept.added
         run = ahead.take(added + SEEN)
         if run is None and kept is None:
-            return None, now
-        after = None
+            return None, now_s
+        next_pieces = None
         if run is not None and len(run) == added + SEEN and not run.rest_after[-1]:
-            after = rows_of(run, added, len(run))
-            ahead.put_back(after)
+            next_pieces = rows_of(run, added, len(run))
+            ahead.put_back(next_pieces)
             run = rows_of(run, 0, added)
-        found = None
+        blocks_and_rest = None
         if run is not None:
-            plan = _planned(kept, run, after, radius_m, limits, dense)
-            found = None if plan is None else _window(plan, limits, gap, now, horizon_s)
+            plan = _planned(kept, run, next_pieces, radius_m, limits, dense)
+            blocks_and_rest = None if plan is None else _window(plan, limits, gap, now_s, horizon_s)
             del plan
-        if found is None and kept is not None:
+        if blocks_and_rest is None and kept is not None:
             # No feasible continuation is known: the plan ends in a rest.
-            blocks = _as_polynomials(kept.to_rest(), limits, now)
+            blocks = _as_polynomials(kept.to_rest(), limits, now_s)
             assert blocks is not None  # true when it was kept
-            found = blocks, None
+            blocks_and_rest = blocks, None
             if run is not None:
                 ahead.put_back(run)
-                after = run  # the run goes on
-        elif found is None and run is not None:
+                next_pieces = run  # the run goes on
+        elif blocks_and_rest is None and run is not None:
             plan = _planned(None, run, None, radius_m, limits, dense)
-            blocks = [] if plan is None else [in_time(_solved(plan, gap).to_rest(), limits, now)]
+            blocks = [] if plan is None else [in_time(_solved(plan, gap).to_rest(), limits, now_s)]
             del plan
-            found = blocks, None
-        blocks, kept = found if found is not None else ([], None)
+            blocks_and_rest = blocks, None
+        blocks, kept = blocks_and_rest if blocks_and_rest is not None else ([], None)
         yield from blocks
-        now = blocks[-1].end_s if blocks else now
-        if after is None:
-            return run, now
+        now_s = blocks[-1].end_s if blocks else now_s
+        if next_pieces is None:
+            return run, now_s
 
 
 def _window(
@@ -204,9 +206,9 @@ def _window(
     if rests:
         blocks = _as_polynomials(solved.to_rest(), limits, begin_s)
         return None if blocks is None else (blocks, None)
-    way, kept = solved.left(solved.before(horizon_s))
+    motion, kept = solved.left(solved.before(horizon_s))
     del solved
-    blocks = _as_polynomials(way, limits, begin_s)
+    blocks = _as_polynomials(motion, limits, begin_s)
     if blocks is None or _as_polynomials(kept.to_rest(), limits, 0.0) is None:
         return None
     return blocks, kept
@@ -239,28 +241,34 @@ class _Plan:
 def _planned(
     kept: _Kept | None,
     run: PieceBlock,
-    after: PieceBlock | None,
+    next_pieces: PieceBlock | None,
     radius_m: FloatArray,
     limits: Limits,
     dense: bool,
 ) -> _Plan | None:
-    """Return a motion through the kept plan and ``run``, and slowly on into ``after``.
+    """Return a motion through the kept plan and ``run``, and slowly on into ``next_pieces``.
 
-    None if none is known; without ``after`` it comes to rest.
+    None if none is known; without ``next_pieces`` it comes to rest.
     """
-    before, fine = None, True if dense else None
+    previous, is_dense = None, True if dense else None
     if kept is not None:
-        before, fine = kept.shape, fine if kept.cut < _CUT else False
+        previous, is_dense = kept.shape, is_dense if kept.cut < _CUT else False
     shape = run_elements(
-        run, radius_m, limits, before, to_rest=after is None, dense=fine, slow=SLOW_PIECES
+        run,
+        radius_m,
+        limits,
+        previous,
+        to_rest=next_pieces is None,
+        dense=is_dense,
+        slow=SLOW_PIECES,
     )
     if shape is None:
         return None
     level = None if kept is None else float(kept.b[-1])
-    slow = _slow_way(shape, level, after, radius_m, limits)
-    if slow is None:
+    slow_motion = _slow_way(shape, level, next_pieces, radius_m, limits)
+    if slow_motion is None:
         return None
-    b, tangent, held, ending = slow
+    b, tangent, held, ending = slow_motion
     borders, elements = _ends_of(shape), shape.elements
     if kept is not None:
         borders = np.concatenate([kept.borders, kept.borders[-1] + borders])
@@ -278,7 +286,7 @@ def _planned(
 def _slow_way(
     shape: RunElements,
     level: float | None,
-    after: PieceBlock | None,
+    next_pieces: PieceBlock | None,
     radius_m: FloatArray,
     limits: Limits,
 ) -> tuple[FloatArray, FloatArray, int, FloatArray] | None:
@@ -290,55 +298,62 @@ def _slow_way(
     ----------
     level
         The constant x with which it begins, None if it begins at rest.
-    after
+    next_pieces
         The next pieces: the motion ends in pieces of constant x from which it can continue or
         rest. Without them it ends at rest.
     """
-    at, n = shape.elements, len(shape.elements)
-    most = np.full(n, np.inf)
-    if after is None or shape.ending is None:
-        slow = _from_level(at, limits, most, level)
-        return None if slow is None else (slow.b, slow.tangent, 0, slow.b[:0])
+    elements, n = shape.elements, len(shape.elements)
+    largest_x = np.full(n, np.inf)
+    if next_pieces is None or shape.ending is None:
+        slow_motion = _from_level(elements, limits, largest_x, level)
+        return (
+            None
+            if slow_motion is None
+            else (slow_motion.b, slow_motion.tangent, 0, slow_motion.b[:0])
+        )
     if len(shape) < 3 * shape.slow:
         return None
-    ends = np.cumsum(at.length)
-    zone = (1.0 - _EVEN) * shape.length[-shape.slow - 1 :].sum()  # and one to slow down in
-    count = int((ends > ends[-1] - zone).sum())
-    beyond = run_elements(after, radius_m, limits, shape, to_rest=False, dense=True)
-    if beyond is not None:
-        at = join([at, beyond.elements])
-    most = np.append(most, np.full(len(at) - n, np.inf))
-    last = _SLOW * float(evenly(at, limits)[n - count :].min())
-    stops = np.full(len(shape.ending), np.inf)
+    element_ends = np.cumsum(elements.length)
+    zone_length = (1.0 - _EVEN) * shape.length[-shape.slow - 1 :].sum()  # and one to slow down in
+    count = int((element_ends > element_ends[-1] - zone_length).sum())
+    next_elements = run_elements(next_pieces, radius_m, limits, shape, to_rest=False, dense=True)
+    if next_elements is not None:
+        elements = join([elements, next_elements.elements])
+    largest_x = np.append(largest_x, np.full(len(elements) - n, np.inf))
+    end_x = _SLOW * float(evenly(elements, limits)[n - count :].min())
+    rest_x = np.full(len(shape.ending), np.inf)
     for _ in range(_TRIES):
-        most[n - count : n + 1], stops[0] = last, last
-        slow, rest = _from_level(at, limits, most, level), Problem(shape.ending, limits, stops)
-        if slow is None:
+        largest_x[n - count : n + 1], rest_x[0] = end_x, end_x
+        slow_motion, rest_motion = (
+            _from_level(elements, limits, largest_x, level),
+            Problem(shape.ending, limits, rest_x),
+        )
+        if slow_motion is None:
             return None
-        even = np.concatenate([slow.b[n - count + 1 : n + 2], rest.b[:2]])
-        if _is_even(even, last):
-            b = np.append(slow.b[: n + 1], last)
-            b[n - count + 1 :] = rest.b[:2] = last
-            return b, slow.tangent[:n], count + 1, rest.b
-        last = _SLOWER * float(even.min())
+        end_coefficients = np.concatenate([slow_motion.b[n - count + 1 : n + 2], rest_motion.b[:2]])
+        if _is_even(end_coefficients, end_x):
+            b = np.append(slow_motion.b[: n + 1], end_x)
+            b[n - count + 1 :] = rest_motion.b[:2] = end_x
+            return b, slow_motion.tangent[:n], count + 1, rest_motion.b
+        end_x = _SLOWER * float(end_coefficients.min())
     return None
 
 
 def _from_level(
-    at: Elements, limits: Limits, most: FloatArray, level: float | None
+    elements: Elements, limits: Limits, largest_x: FloatArray, level: float | None
 ) -> Problem | None:
-    """Return a slow motion, with (n,) x of at most ``most``, that begins with a constant x.
+    """Return a slow motion, with (n,) x of at most ``largest_x``, that begins with a constant x.
 
     A slow motion speeds up as soon as it may, and is slowed around places where its jerk is then
     too large. If these are at its beginning, it stays constant for some elements first.
     """
     for held in _HELD:
-        own = most.copy()
+        x_limits = largest_x.copy()
         if level is not None:
-            own[:held] = np.minimum(own[:held], level)
-        slow = Problem(at, limits, own)
-        if _is_even(slow.b[:2], level):
-            return slow
+            x_limits[:held] = np.minimum(x_limits[:held], level)
+        slow_motion = Problem(elements, limits, x_limits)
+        if _is_even(slow_motion.b[:2], level):
+            return slow_motion
     return None
 
 
@@ -350,24 +365,24 @@ def _braking_s(limits: Limits) -> float:
     """Return the time that the slowest axis takes to brake from its velocity limit to rest."""
     v, a, j = limits.velocity, np.minimum(*limits.sides), limits.jerk
     with np.errstate(invalid="ignore", over="ignore"):
-        slow = np.where(v * j > a**2, v / a + a / j, 2.0 * np.sqrt(v / j))
-    return float(np.max(slow[np.isfinite(slow)], initial=0.0))
+        braking_time_s = np.where(v * j > a**2, v / a + a / j, 2.0 * np.sqrt(v / j))
+    return float(np.max(braking_time_s[np.isfinite(braking_time_s)], initial=0.0))
 
 
 def _solved(plan: _Plan, gap: float) -> _Kept:
     """Return the fastest motion of a plan; the plan is not needed afterwards."""
-    own = plan.problem
-    own.solve(gap)
-    own.rows = None
+    problem = plan.problem
+    problem.solve(gap)
+    problem.rows = None
     return _Kept(
-        elements=own.elements,
-        b=own.b,
-        tangent=own.tangent,
+        elements=problem.elements,
+        b=problem.b,
+        tangent=problem.tangent,
         ending=plan.ending,
         borders=plan.borders,
         shape=plan.shape,
-        fresh=float(own.elements.length[: own.settled()].sum()),
-        cut=len(own.elements) / len(plan.borders),
+        fresh=float(problem.elements.length[: problem.settled()].sum()),
+        cut=len(problem.elements) / len(plan.borders),
     )
 
 
