@@ -32,7 +32,7 @@ def cut_evenly(
     whole_s = _nominal(pace, straight, np.full(len(c), 0.03))
     count = _count(parts, straight, own)
     cut, nominal_s, owner, line = _cut_and_joined(
-        c, pace, whole_s, straight, parts, own, own + 7, count
+        c, pace, whole_s, straight, parts, (own, own + 7), count
     )
     np.testing.assert_array_equal(line, owner + 7)
     return owner, cut, nominal_s

@@ -71,7 +71,7 @@ def _first(recording, kind, axis=""):
         ("stitcher", "recording: in mm, inches, degrees, mA", fuzz_same_recordings, "in_si",
          lambda recording, _: recording),
         ("winder", "shifted", sys.modules[f"{read_job.__module__.rpartition('.')[0]}.shifted"],
-         "_moved", lambda item, _: item),
+         "_shifted_item", lambda item, _: item),
     ],
 )  # fmt: skip
 def test_a_careless_program_is_found_out(
