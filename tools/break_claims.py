@@ -8,11 +8,11 @@ out. ``days`` keeps the machine of the file and changes friction, supply and the
 encoder between two counts, all within what runs are drawn from. ``machines`` changes every number
 within its tolerance as well. Each candidate is one run of the planned commands, judged by every
 criterion that has a limit. ``repeatability`` of a day is its largest distance from the mean of
-1200 drawn days, as a verdict counts it; it is left out for machines, which have days of their own,
-and for kinds of machines whose runs are simulated one by one (frames, on/off machines, rotary
-tables that learn). The days of these kinds change what the days of their verdicts change. A
-criterion that allows nothing, such as ``dac_saturation``, counts as 1000 % where it fails, and so
-does a required one that could not be measured, and a run that never ends.
+1200 drawn days, as a verdict counts it. It is left out of ``machines``, which have days of their
+own, and where runs are simulated one by one (frames, on/off machines, drives that take positions).
+A day of such a machine is one of the days that its verdict draws from. A criterion that allows
+nothing, such as ``dac_saturation``, counts as 1000 % where it fails, and so does a required one
+that could not be measured, and a run that never ends.
 
 The program's own search (``proof/worst_search.py``) climbs from corner to corner by single changes.
 This one shares no step with it. Climbs of three methods go side by side, and where one has ended

@@ -72,12 +72,8 @@ class Limits(NamedTuple):
 
     Parameters
     ----------
-    ways_m
-        (n, A) travel of each turn, m.
-    needle
-        (n,) 1 where the needle enters.
-    shortest_s
-        (n,) shortest time of each turn, s.
+    ways_m, needle, shortest_s
+        As in ``TurnMoves``.
     slowest_s
         Longest time of a turn, s.
     share
