@@ -135,7 +135,7 @@ def test_report_of_a_robust_cycle_has_the_printed_tables(
     assert "commands for modes within 20 %, move by move" in page
     assert "cycles side by side, one run each" in page
     assert all(row["name"] in page for row in found["beside"])
-    assert "Step by step, as the list has it" in page
+    assert "Step by step, shapers of the move list" in page
     assert "no shaper" not in page
     assert "job sha256" not in page
 

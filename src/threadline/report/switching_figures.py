@@ -34,7 +34,7 @@ def shaper_words(plan: Plan) -> str:
     job_shapes = any(
         m.levels.realised is not None or len(m.levels.levels) > 2 for m in plan.scheduled.moves
     )
-    return plan.options.get("shaper", "as the list has it" if job_shapes else "no shaper")
+    return plan.options.get("shaper", "shapers of the move list" if job_shapes else "no shaper")
 
 
 def _mark_steps(panel: Axes, run: SwitchRun, *, names: bool) -> None:
