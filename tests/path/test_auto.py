@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from threadline.jobs.operations import Dwell, Feed, FeedMode, Source
 from threadline.machine import load_machine
-from threadline.motion.path import path_deviation, plan_path, programmed_path
+from threadline.motion.path import interpolations, path_deviation, plan_path, programmed_path
 from threadline.motion.path.auto import auto_pieces
 
 from .builders import job_of, polylines, there_and_back
@@ -147,6 +147,14 @@ def test_summary_tells_points_added_and_the_worst_place():
     assert path.summary["points_added"] == 4  # one on either side of both corners
     assert path.summary["largest_deviation_m"] == pytest.approx(measured.at_tool_m)
     assert path.summary["largest_deviation_line"] == measured.line
+
+
+def test_the_points_added_are_counted_without_measuring_the_deviation(monkeypatch):
+    _, path = planned([[0, 0], [0.1, 0], [0.1, 0.1], [0.2, 0.1]], ("X", "Y"), 1e-4)
+    monkeypatch.setattr(interpolations, "path_deviation", None)
+    assert path.summary["points_added"] == 4
+    assert next(iter(path.summary)) == "points_added"
+    assert len(path.summary) == 3
 
 
 def test_rests_and_dwells_are_kept():

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
-from functools import cached_property
-from typing import ParamSpec
+from functools import partial
+from typing import TypeAlias
 
 from threadline.base.option_defaults import DEFAULT_TOLERANCE_M
 from threadline.base.wording import nearest
@@ -28,59 +28,64 @@ from threadline.motion.path.straight import blended_pieces, polynomial_pieces
 from threadline.motion.path.types import PieceBlock, PlannedPath, ProgrammedPath, Timing
 from threadline.motion.path.wide_corners import EVEN, Corners
 
-P = ParamSpec("P")
+_Work: TypeAlias = partial[dict[str, float]]
 
 
 class LazySummary(Mapping[str, float]):
-    """A mapping that is computed when it is first read.
+    """Figures of a path that are computed when one of their group is first read.
 
     Parameters
     ----------
-    work
-        Function of a module, not nested in another, so that a summary can be pickled like a
-        ``Stream``.
-    arguments, keywords
-        Arguments with which it is called.
+    groups
+        For the names of figures, the call that returns them all: of a function of a module, not
+        nested in another, so that a summary can be pickled like a ``Stream``.
     """
 
-    def __init__(
-        self, work: Callable[P, Mapping[str, float]], *arguments: P.args, **keywords: P.kwargs
-    ) -> None:
-        self._work, self._arguments, self._keywords = work, arguments, keywords
-
-    @cached_property
-    def _found(self) -> Mapping[str, float]:
-        return self._work(*self._arguments, **self._keywords)
+    def __init__(self, groups: Mapping[tuple[str, ...], _Work]) -> None:
+        self._groups = groups
+        self._found: dict[str, float] = {}
 
     def __getitem__(self, key: str) -> float:
+        if key not in self._found:
+            for names, work in self._groups.items():
+                if key in names:
+                    self._found |= work()
         return self._found[key]
 
     def __iter__(self) -> Iterator[str]:
-        return iter(self._found)
+        for names in self._groups:
+            yield from names
 
     def __len__(self) -> int:
-        return len(self._found)
+        return sum(map(len, self._groups))
 
 
-def auto_summary(
-    programmed: ProgrammedPath,
-    planned: PlannedPath,
-    cut_m: float,
-    degree: int = CUBIC,
-    corners: Corners = EVEN,
+def _number_added(
+    programmed: ProgrammedPath, cut_m: float, degree: int = CUBIC, corners: Corners = EVEN
 ) -> dict[str, float]:
-    """Return the number of points added, the largest deviation in m and its program line."""
-    added = {"points_added": float(points_added(programmed, cut_m, degree, corners))}
-    return added | deviation_summary(programmed, planned)
+    return {"points_added": float(points_added(programmed, cut_m, degree, corners))}
 
 
-def deviation_summary(programmed: ProgrammedPath, planned: PlannedPath) -> dict[str, float]:
-    """Return the largest deviation in m, and its program line."""
+def _deviation(programmed: ProgrammedPath, planned: PlannedPath) -> dict[str, float]:
     deviation = path_deviation(programmed, planned)
     return {
         "largest_deviation_m": deviation.at_tool_m,
         "largest_deviation_line": float(deviation.line),
     }
+
+
+def _with_deviation(
+    programmed: ProgrammedPath,
+    planned: PlannedPath,
+    added: _Work | None = None,
+) -> PlannedPath:
+    """Return the path with a summary: points added, largest deviation in m, its program line."""
+    groups: dict[tuple[str, ...], _Work] = {}
+    if added is not None:
+        groups["points_added",] = added
+    of_deviation = partial(_deviation, programmed, planned)
+    groups["largest_deviation_m", "largest_deviation_line"] = of_deviation
+    return replace(planned, summary=LazySummary(groups))
 
 
 PARABOLA_SHARE = 0.9
@@ -274,7 +279,7 @@ def _auto(programmed: ProgrammedPath, machine: Machine, options: PathOptions) ->
         blocks=KeptStream(auto_pieces, programmed, cut_m),
         smoothing_m=smoothing_m,
     )
-    return replace(path, summary=LazySummary(auto_summary, programmed, path, cut_m))
+    return _with_deviation(programmed, path, partial(_number_added, programmed, cut_m))
 
 
 def _optimal(programmed: ProgrammedPath, machine: Machine, options: PathOptions) -> PlannedPath:
@@ -291,8 +296,8 @@ def _optimal(programmed: ProgrammedPath, machine: Machine, options: PathOptions)
         historical=False,
         blocks=KeptStream(auto_pieces, programmed, cut_m, near_m, degree=QUARTIC, corners=corners),
     )
-    summary = LazySummary(auto_summary, programmed, path, cut_m, QUARTIC, corners)
-    return replace(path, summary=summary)
+    added = partial(_number_added, programmed, cut_m, QUARTIC, corners)
+    return _with_deviation(programmed, path, added)
 
 
 def _firmware(programmed: ProgrammedPath, machine: Machine, options: PathOptions) -> PlannedPath:
@@ -331,7 +336,7 @@ def _parabolic(programmed: ProgrammedPath, machine: Machine, options: PathOption
         blocks=KeptStream(blended_pieces, programmed, cut_m),
         smoothing_m=smoothing_m,
     )
-    return replace(path, summary=LazySummary(deviation_summary, programmed, path))
+    return _with_deviation(programmed, path)
 
 
 def _polynomial(name: str) -> Planner:
@@ -350,7 +355,7 @@ def _polynomial(name: str) -> Planner:
             blocks=KeptStream(polynomial_pieces, programmed, bounds, quintic=quintic),
             smoothing_m=0.0 if quintic else options.tolerance_m,
         )
-        return replace(path, summary=LazySummary(deviation_summary, programmed, path))
+        return _with_deviation(programmed, path)
 
     return planner
 
