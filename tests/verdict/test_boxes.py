@@ -85,7 +85,7 @@ def test_vertices_that_can_be_the_worst_are_as_near_as_the_nearest_segment(runs,
     best, at_s = np.full((12, runs), np.inf), np.zeros((12, runs))
     track = Track(np.concatenate([points[:1], points]), time_s, begin, end, 0)
     boxes.vertices_to_path(
-        track, NO_BOWS, boxes_of(points), vertices, EACH, np.empty((0, 2)), worst,
+        track, NO_BOWS, boxes_of(points), vertices, EACH, None, worst,
         Closest(best, at_s),
     )  # fmt: skip
     for v in range(12):
@@ -123,8 +123,11 @@ def test_the_progress_is_that_of_every_place_of_every_run(runs, spread, at_once)
             dropped=np.full(runs, np.inf),
         )  # fmt: skip
         for low in range(0, SAMPLES, at_once):
-            own = points[low : low + at_once]
-            move_on(own, boxes_of(own) if known else NO_BOXES, off[low : low + at_once], low, part)
+            own, boxes = points[low : low + at_once], NO_BOXES
+            if known:
+                boxes = boxes_of(own)
+            axes_each = (0,) * points.shape[1]
+            move_on(own, boxes, off[low : low + at_once], low, axes_each, part)
         found.append(part)
     boxed, every = found
     sure = boxed.dropped > boxed.worst  # an uncertain result is read again

@@ -338,7 +338,7 @@ def test_a_segment_reaches_the_vertices_of_both_its_samples() -> None:
         NO_BOXES,
         vertices,
         (0, 0),
-        np.empty((0, 2)),
+        None,
         np.full(1, -np.inf),
         Closest(best, best_time_s),
     )

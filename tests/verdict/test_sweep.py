@@ -6,6 +6,8 @@ of them before the next one does.
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -92,9 +94,29 @@ def test_findings_and_places_are_the_same_however_few_samples_are_brought_in(
     # A measure finds the same alone as together with others.
     alone = [finding for name in SWEPT for finding in found(plan, (name,))]
     assert alone == whole
-    # So does a single run, which is in no sweep.
-    for k in (0, RUNS - 1):
-        assert found(plan, SWEPT, k) == whole[k::RUNS]
+    # So does a single run, by its own loops as well as by the loops of many runs.
+    for own in (True, False):
+        monkeypatch.setattr(sweep, "loops_of_one_run_serve", lambda own=own: own)
+        for k in (0, RUNS - 1):
+            assert found(plan, SWEPT, k) == whole[k::RUNS]
     # Some worst value lies between two samples, which are whole ticks.
     ticks = np.array([finding.time_s for finding in whole[:RUNS]]) / machine.tick_clock.period_s
     assert (np.abs(ticks.astype(float) - np.rint(ticks.astype(float))) > 1e-3).any()
+
+
+ASKED = """
+import threadline
+from threadline.verdict.boxes import vertices_to_path
+from threadline.verdict.single_run import contour_of_one
+
+threadline.prove({job!r}, "lathe-winder", level={level!r})
+print(len(contour_of_one.signatures), len(vertices_to_path.signatures))
+"""
+
+
+@pytest.mark.parametrize(("level", "loops"), [("nominal", "1 0"), ("repeated", "0 1")])
+def test_a_proof_compiles_one_form_of_the_loops(level: str, loops: str) -> None:
+    """The planned path beside the program is a single run in a proof of many."""
+    asked = ASKED.format(job=str(EXAMPLES / "x-180.prg"), level=level)
+    done = subprocess.run([sys.executable, "-c", asked], capture_output=True, text=True, check=True)
+    assert done.stdout.split("\n")[0] == loops

@@ -65,14 +65,13 @@ class Bows(NamedTuple):
 NO_BOWS = Bows(False, np.empty((0, 0, 0)), np.empty((0, 0, 0)))
 
 
-def _bound(points: FloatArray, share: FloatArray, bows: Bows) -> None:
+def _bound(points: FloatArray, share: FloatArray | None, bows: Bows) -> None:
     """Fill in the bounds for (n + 1, axes, runs) points, the first of them the sample before.
 
     The deviation is s (1 - s) times a mean of the differences between tangents and segment, and
     s (1 - s) is at most 1/4.
     """
     _, tangents, most = bows
-    weighted = len(share) > 0
     rows, axes, runs = points.shape
     for i in range(rows - 1):
         for r in range(runs):
@@ -82,8 +81,8 @@ def _bound(points: FloatArray, share: FloatArray, bows: Bows) -> None:
                 step = points[i + 1, a, r] - points[i, a, r]
                 first, last = tangents[i, a, r] - step, tangents[i + 1, a, r] - step
                 first, last = first * first, last * last
-                larger = first if first > last else last
-                if weighted:
+                larger = max(last, first)
+                if share is not None:
                     larger *= share[i, a, r] * share[i, a, r]
                 most[i, 0, r] += larger * (_MORE / 16.0)
 
@@ -213,13 +212,11 @@ def _some_run_may_be_farther(
             lead += (m0[a, r] - step - m0_along * vector) * (m0[a, r] - step - m0_along * vector)
             trail += (m1[a, r] - step - m1_along * vector) * (m1[a, r] - step - m1_along * vector)
         reach = np.sqrt(most[r] * length)
-        lead = (lead if lead > trail else trail) * (_MORE / 16.0)
-        inside = ((low if low < high else high) >= reach) & (
-            (high if high > low else low) <= length - reach
-        )
+        lead = max(trail, lead) * (_MORE / 16.0)
+        inside = (min(high, low) >= reach) & (max(low, high) <= length - reach)
         bow = lead if inside else most[r]
-        away = off[0, r] if off[0, r] > off[1, r] else off[1, r]
-        least = worst[r] if worst[r] > _NOTHING_M2 else _NOTHING_M2
+        away = max(off[1, r], off[0, r])
+        least = max(_NOTHING_M2, worst[r])
         larger += (away + bow + 2.0 * np.sqrt(away * bow)) * _MORE > least
     return larger > 0
 
@@ -233,7 +230,7 @@ def _raise_to_bows(
     nearest: Nearest,
     vertices: FloatArray,
     each: tuple[int, ...],
-    share: FloatArray,
+    share: FloatArray | None,
     farthest: Farthest,
 ) -> None:
     """Raise the farthest places where the path between two samples is farther.
@@ -253,22 +250,25 @@ def _raise_to_bows(
         if alike:
             larger = 0
             for r in range(runs):
-                worse = off[i, r] if off[i, r] > off[i + 1, r] else off[i + 1, r]
+                worse = max(off[i + 1, r], off[i, r])
                 bow = most[i, 0, r]
                 larger += (worse + bow + 2.0 * np.sqrt(worse * bow)) * _MORE > worst[r]
-            if not larger or not (len(share) or _some_run_may_be_farther_fast(
-                Span(points[i], points[i + 1], tangents[i], tangents[i + 1]),
-                vertices[common[i] - 1], vertices[common[i]], each, off[i : i + 2], most[i, 0],
-                worst,
-            )):  # fmt: skip
+            if not larger:
                 continue
+            if share is None:
+                span = Span(points[i], points[i + 1], tangents[i], tangents[i + 1])
+                start, end_of = vertices[common[i] - 1], vertices[common[i]]
+                if not _some_run_may_be_farther_fast(
+                    span, start, end_of, each, off[i : i + 2], most[i, 0], worst
+                ):
+                    continue
         for r in range(runs):
             near_start = common[i] if common[i] >= 0 else chord[i, r]
             near_end = common[i + 1] if common[i + 1] >= 0 else chord[i + 1, r]
             long = 0.0
             for a in range(axes):
                 here[a], there[a] = points[i, a, r], points[i + 1, a, r]
-                if len(share):
+                if share is not None:
                     weights[a] = share[i, a, r]
                 long += (weights[a] * (there[a] - here[a])) ** 2
             long = 0.0 if near_start == near_end else np.sqrt(long)

@@ -60,25 +60,25 @@ def _ends_of(
     for j in range(part):
         a, b = values[i, k, j], values[i, k, part + j]
         c, d = values[i, k, 2 * part + j], values[i, k, 3 * part + j]
-        low, high = a if a < b else b, a if a > b else b
-        lower, higher = c if c < d else d, c if c > d else d
-        lows[j], highs[j] = low if low < lower else lower, high if high > higher else higher
+        low, high = min(b, a), max(b, a)
+        lower, higher = min(d, c), max(d, c)
+        lows[j], highs[j] = min(lower, low), max(higher, high)
     while part >= 16 and part % 4 == 0:
         part //= 4
         for j in range(part):
             a, b, c, d = lows[j], lows[part + j], lows[2 * part + j], lows[3 * part + j]
-            low, lower = a if a < b else b, c if c < d else d
-            lows[j] = low if low < lower else lower
+            low, lower = min(b, a), min(d, c)
+            lows[j] = min(lower, low)
             a, b, c, d = highs[j], highs[part + j], highs[2 * part + j], highs[3 * part + j]
-            high, higher = a if a > b else b, c if c > d else d
-            highs[j] = high if high > higher else higher
+            high, higher = max(b, a), max(d, c)
+            highs[j] = max(higher, high)
     least, most = np.inf, -np.inf
     for j in range(part):
-        least = lows[j] if lows[j] < least else least
-        most = highs[j] if highs[j] > most else most
+        least = min(least, lows[j])
+        most = max(most, highs[j])
     for r in range(count // 4 * 4, count):
-        least = values[i, k, r] if values[i, k, r] < least else least
-        most = values[i, k, r] if values[i, k, r] > most else most
+        least = min(least, values[i, k, r])
+        most = max(most, values[i, k, r])
     return least, most
 
 
@@ -110,9 +110,7 @@ def _to_one_chord(
         along = 0.0
         for a in range(len(axes)):
             along += (points[i, a, r] - vertices[c - 1, a]) * vector[c, a]
-        where = along / length[c]
-        where = where if where > 0.0 else 0.0
-        where = where if where < 1.0 else 1.0
+        where = min(1.0, max(0.0, along / length[c]))
         away = 0.0
         for a in range(len(axes)):
             gap = points[i, a, r] - vertices[c - 1, a] - where * vector[c, a]
@@ -176,9 +174,7 @@ def _approach(
                 along += share[a] * (vertex[a] - start[a, r]) * weighted
                 size += weighted * weighted
         size = size if size > 0.0 else 1.0
-        where = along / size
-        where = where if where > 0.0 else 0.0
-        where = where if where < 1.0 else 1.0
+        where = min(1.0, max(0.0, along / size))
         away = 0.0
         for a in range(len(axes)):
             gap = vertex[a] - start[a, r] - where * (point[a, r] - start[a, r])
@@ -195,7 +191,7 @@ def _approach(
                     gap *= share[a]
                 last += gap * gap
             where = 1.0 if last < away else where
-            away = last if last < away else away
+            away = min(away, last)
         nearer = away < best[r]
         best[r] = away if nearer else best[r]
         best_time_s[r] = from_s + where * long_s if nearer else best_time_s[r]
@@ -210,14 +206,14 @@ def _vertices_to_path(
     boxes: Boxes,
     vertices: FloatArray,
     axes: tuple[int, ...],
-    share: FloatArray,
+    share: FloatArray | None,
     worst: FloatArray,
     closest: Closest,
 ) -> None:
     """Lower the closest approaches to (m, axes) vertices, where a span of a run comes nearer.
 
     Span i leads from row i of the track to row i + 1; it counts for the vertices of the chords
-    ``begin[i]`` to ``end[i + 1]``. ``share``, (vertices, axes), weighs the axes; empty means equal
+    ``begin[i]`` to ``end[i + 1]``. ``share``, (vertices, axes), weighs the axes; None means equal
     weights.
 
     A vertex is skipped if every run already passes it as closely as ``worst``, (runs,) squared, or
@@ -231,12 +227,12 @@ def _vertices_to_path(
         low, high = min(low, begin[i] - 1), max(high, end[i + 1])
     known, lower, upper, lows, highs = boxes
     bowed, tangents, most = bows
-    weighted = len(share) > 0
-    boxed = known and not weighted
+    boxed = known and share is None
     near, bow = np.zeros(samples), np.zeros(samples)
     if bowed and boxed:
         for i in range(samples):
-            bow[i] = np.sqrt(ends_of(most, i, 0, lows, highs)[1]) * MORE
+            for k in range(most.shape[1]):  # one row; for 0 itself ends_of is compiled once more
+                bow[i] = np.sqrt(ends_of(most, i, k, lows, highs)[1]) * MORE
     for v in range(low, high + 1):
         limit = np.inf
         if boxed:
@@ -266,10 +262,10 @@ def _vertices_to_path(
             m0, m1 = (tangents[i], tangents[i + 1]) if bowed else (_NO_TANGENT, _NO_TANGENT)
             span = Span(points[i], points[i + 1], m0, m1)
             own = Closest(best[v], best_time_s[v])
-            if weighted:
-                _approach_fast(span, from_s, long_s, vertices[v], axes, share[v], own)
-            else:
+            if share is None:
                 _approach_fast(span, from_s, long_s, vertices[v], axes, None, own)
+            else:
+                _approach_fast(span, from_s, long_s, vertices[v], axes, share[v], own)
 
 
 vertices_to_path = njit(nogil=True)(_vertices_to_path)

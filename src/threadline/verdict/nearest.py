@@ -189,9 +189,7 @@ def _nearest_of_all(
                     along += share[a, r] * (point[a, r] - vertices[c - 1, a]) * weighted
                     size += weighted * weighted
                 size = size if size > 0.0 else 1.0
-            where = along / size
-            where = where if where > 0.0 else 0.0
-            where = where if where < 1.0 else 1.0
+            where = min(1.0, max(0.0, along / size))
             away = 0.0
             for a in range(len(axes)):
                 gap = point[a, r] - vertices[c - 1, a] - where * vector[c, a]
@@ -211,23 +209,23 @@ def _nearest_chords(
     candidates: Candidates,
     chords: Chords,
     axes: tuple[int, ...],
-    share: FloatArray,
+    share: FloatArray | None,
     squared: FloatArray,
     chord: IntArray,
 ) -> None:
     """Fill in the squared distance of each of (n, axes, runs) points to its candidate chords.
 
-    ``chord`` becomes the first of the nearest chords. ``share`` has the shape of the points; empty
+    ``chord`` becomes the first of the nearest chords. ``share`` has the shape of the points; None
     means equal weights of the axes.
     """
     begin, end = candidates
     for i in range(len(points)):
-        if len(share):
+        if share is None:
+            nearest_of_all(points[i], begin[i], end[i], chords, axes, None, squared[i], chord[i])
+        else:
             nearest_of_all(
                 points[i], begin[i], end[i], chords, axes, share[i], squared[i], chord[i]
             )
-        else:
-            nearest_of_all(points[i], begin[i], end[i], chords, axes, None, squared[i], chord[i])
 
 
 def _most_between(
@@ -338,13 +336,17 @@ search_segment = njit(nogil=True)(_search_segment)
 
 
 def _raise_to_segments(
-    track: Track, nearest: Nearest, vertices: FloatArray, share: FloatArray, farthest: Farthest
+    track: Track,
+    nearest: Nearest,
+    vertices: FloatArray,
+    share: FloatArray | None,
+    farthest: Farthest,
 ) -> None:
     """Raise the farthest places where a segment between two samples is farther than its ends.
 
     The distance to one chord is largest at an end of the segment; the distance to the nearer of two
     chords may be larger in between. ``nearest`` has a row for each row of ``track``. Axes are
-    weighted with the shares at the end of the segment, ``share``, (n, axes, runs); empty means
+    weighted with the shares at the end of the segment, ``share``, (n, axes, runs); None means
     equal weights.
     """
     points, _, begin, end, number = track
@@ -363,7 +365,7 @@ def _raise_to_segments(
             for a in range(axes):
                 here[a] = points[i, a, r]
                 there[a] = points[i + 1, a, r]
-                if len(share):
+                if share is not None:
                     weights[a] = share[i, a, r]
             search = Search(vertices, low, high, near_start, near_end)
             search_segment(here, there, weights, search, farthest, r, number + i)
@@ -374,13 +376,13 @@ def _charge_trailing(
     candidates: Candidates,
     left: FloatArray,
     vertices: FloatArray,
-    share: FloatArray,
+    share: FloatArray | None,
     nearest: Nearest,
 ) -> None:
     """Raise the squared distance of a sample that is nearest to a place it should have left.
 
     ``left`` is the share of chord ``begin[i]`` that the command had left behind by the lag before
-    sample i. ``share``, (n, axes, runs), weights the axes; empty means equal weights.
+    sample i. ``share``, (n, axes, runs), weights the axes; None means equal weights.
     """
     begin, end = candidates
     squared, chord, common = nearest
@@ -395,7 +397,7 @@ def _charge_trailing(
                 continue
             along, length = 0.0, 0.0
             for a in range(axes):
-                if len(share):
+                if share is not None:
                     weights[a] = share[i, a, r]
                 step = weights[a] * (vertices[first, a] - vertices[first - 1, a])
                 along += weights[a] * (points[i, a, r] - vertices[first - 1, a]) * step
@@ -439,7 +441,6 @@ def nearest_chords(
     samples, axes, runs = points.shape
     squared = np.empty((samples, runs))
     chord = np.empty((samples, runs), dtype=np.int64)
-    shares, candidates = points[:0] if share is None else share, Candidates(begin, end)
-    chords = chords_of(vertices)
-    nearest_chords_each(points, candidates, chords, (0,) * axes, shares, squared, chord)
+    candidates, chords = Candidates(begin, end), chords_of(vertices)
+    nearest_chords_each(points, candidates, chords, (0,) * axes, share, squared, chord)
     return squared, chord

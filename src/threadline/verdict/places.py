@@ -61,7 +61,7 @@ def _given_up(
         return False
     for r in range(len(dropped)):
         left = (np.sqrt(value[row, r]) - long) ** 2
-        dropped[r] = left if left < dropped[r] else dropped[r]
+        dropped[r] = min(dropped[r], left)
     return True
 
 
@@ -120,7 +120,7 @@ def _stay_at(
     points: FloatArray,
     vector: FloatArray,
     place: _Place,
-    axes: tuple[int, ...] | FloatArray,
+    axes: tuple[int, ...],
     value: FloatArray,
     reached: FloatArray,
     worst: FloatArray,
@@ -145,8 +145,7 @@ def _stay_at(
         for a in range(len(axes)):
             along += (tool[i, a, r] - points[start, a]) * vector[k, a]
         share = along * inverse
-        where = share if share > 0.0 else 0.0
-        where = where if where < 1.0 else 1.0
+        where = min(1.0, max(0.0, share))
         away = 0.0
         for a in range(len(axes)):
             gap = tool[i, a, r] - points[start, a] - where * vector[k, a]
@@ -155,13 +154,13 @@ def _stay_at(
         behind = np.sqrt(left) - where * length
         beside, room = (where - share) * length, (1.0 - where) * length
         on = (behind * behind - error) / (2.0 * (behind + beside))
-        on = on if on < room else room  # room too where it is NaN
-        on = on if on > 0.0 else 0.0
+        on = min(room, on)  # room too where it is NaN
+        on = max(0.0, on)
         on = on if behind > 0.0 and behind * behind > error else 0.0
         error += on * (2.0 * beside + on)
-        error = error if error > held else held
+        error = max(held, error)
         least = reached[1, r]
-        least = error if error < least else least
+        least = min(least, error)
         reached[0, r], reached[1, r], value[row, r] = held, least, least
         near += least <= limit
         farther += least > worst[r]
@@ -196,7 +195,12 @@ class ProgressPart(NamedTuple):
 
 
 def _advance(  # noqa: PLR0915 - one loop over the places; each call would be compiled once more
-    points: FloatArray, boxes: Boxes, off: FloatArray, beginning: int, part: ProgressPart
+    points: FloatArray,
+    boxes: Boxes,
+    off: FloatArray,
+    beginning: int,
+    axes_each: tuple[int, ...],
+    part: ProgressPart,
 ) -> None:
     """Advance the places of the command by the samples ``points``, the first of them ``beginning``.
 
@@ -219,8 +223,7 @@ def _advance(  # noqa: PLR0915 - one loop over the places; each call would be co
     place can have such a value in every run: it is settled. If the box of all runs shows that the
     next place stays settled, it is skipped, and its value is 0 from then on.
 
-    Loops over the axes of a place are compiled for two axes, for three, and for any number; the
-    rest is compiled once.
+    ``axes_each`` is a tuple with one entry per axis: see ``_stay_at``.
     """
     # Each tuple access would count references.
     (
@@ -228,7 +231,7 @@ def _advance(  # noqa: PLR0915 - one loop over the places; each call would be co
     ) = part  # fmt: skip
     known, lower, upper, _, _ = boxes
     commanded, vector, inverse, length, heading = command
-    samples, axes, runs = points.shape
+    samples, _, runs = points.shape
     rows, origin = len(value), number - first
     first, number = first + beginning, number + beginning
     low, high, ceiling = places[0], places[1], ceilings[0]
@@ -279,18 +282,9 @@ def _advance(  # noqa: PLR0915 - one loop over the places; each call would be co
                         reached[0, r] = value[row, r]
                     low, k = low + 1, k + 1
                     continue
-            if axes == 3:
-                near[row], farther = _stay_at_fast(
-                    points, off, commanded, vector, place, (0, 0, 0), value, reached, worst
-                )
-            elif axes == 2:
-                near[row], farther = _stay_at_fast(
-                    points, off, commanded, vector, place, (0, 0), value, reached, worst
-                )
-            else:
-                near[row], farther = _stay_at_fast(
-                    points, off, commanded, vector, place, vector[k], value, reached, worst
-                )
+            near[row], farther = _stay_at_fast(
+                points, off, commanded, vector, place, axes_each, value, reached, worst
+            )
             # If every run is good enough, no later place is better.
             if k == last or not farther:
                 break

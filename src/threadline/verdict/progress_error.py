@@ -156,7 +156,8 @@ class _Progress(SweptMeasure):
         every = _Progress(setting, every_place=True)
         axes, lag, resolution = setting.axes, setting.lag_samples, setting.resolution
         for block in judged_blocks(setting.recording, axes, lag, path, resolution):
-            move_on(block.at_tool, NO_BOXES, block.nearest[0], 0, every.part(block))
+            points, away = block.at_tool, block.nearest[0]
+            move_on(points, NO_BOXES, away, 0, (0,) * points.shape[1], every.part(block))
             every.feed(block)
         _LATEST.trajectory = self._trajectory
         _LATEST.ceiling = CEILING * float(every._squared.max())

@@ -330,9 +330,8 @@ class Block:
         if self.left is None:
             return squared, chord
         found = Nearest(squared.copy(), chord, np.full(len(self), -1))
-        weights = points[:0] if shares is None else shares
         window = Candidates(begin, end)
-        charge_trailing(points, window, self.left, path.vertices, weights, found)
+        charge_trailing(points, window, self.left, path.vertices, shares, found)
         return found.squared, chord
 
     def every(self, count: int) -> Block:

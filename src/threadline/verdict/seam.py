@@ -179,15 +179,13 @@ def _measure(stitches: _Stitches, axes: tuple[int, ...], first: int, found: _Apa
                     for a in range(len(axes)):
                         step = end[other, a, r] - begin[other, a, r]
                         along += (drawn[own, p, a] - begin[other, a, r]) * step
-                    where = along / length[r]
-                    where = where if where > 0.0 else 0.0
-                    where = where if where < 1.0 else 1.0
+                    where = min(1.0, max(0.0, along / length[r]))
                     away = 0.0
                     for a in range(len(axes)):
                         step = end[other, a, r] - begin[other, a, r]
                         gap = drawn[own, p, a] - begin[other, a, r] - where * step
                         away += gap * gap
-                    best[p, r] = away if away < best[p, r] else best[p, r]
+                    best[p, r] = min(best[p, r], away)
             for p in range(1, places):
                 squared = 0.0
                 for a in range(len(axes)):
@@ -198,15 +196,13 @@ def _measure(stitches: _Stitches, axes: tuple[int, ...], first: int, found: _Apa
                     for a in range(len(axes)):
                         step = drawn[other, p, a] - drawn[other, p - 1, a]
                         along += (end[own, a, r] - drawn[other, p - 1, a]) * step
-                    where = along / whole
-                    where = where if where > 0.0 else 0.0
-                    where = where if where < 1.0 else 1.0
+                    where = min(1.0, max(0.0, along / whole))
                     away = 0.0
                     for a in range(len(axes)):
                         step = drawn[other, p, a] - drawn[other, p - 1, a]
                         gap = end[own, a, r] - drawn[other, p - 1, a] - where * step
                         away += gap * gap
-                    strayed[i, r] = away if away < strayed[i, r] else strayed[i, r]
+                    strayed[i, r] = min(strayed[i, r], away)
         for r in range(runs):
             farthest, at = -1.0, 0
             for p in range(places):

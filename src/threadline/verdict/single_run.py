@@ -54,9 +54,7 @@ def _nearest_chords(
             else:
                 for a in range(axes):
                     along += (points[i, a] - vertices[c - 1, a]) * vector[c, a]
-            where = along / size
-            where = where if where > 0.0 else 0.0
-            where = where if where < 1.0 else 1.0
+            where = min(1.0, max(0.0, along / size))
             for a in range(axes):
                 gap = points[i, a] - vertices[c - 1, a] - where * vector[c, a]
                 if weighted:
@@ -89,9 +87,7 @@ def _to_vertex(
         step = weight * (points[i, a] - start)
         along += weight * (vertices[v, a] - start) * step
         size += step * step
-    where = along / (size if size > 0.0 else 1.0)
-    where = where if where > 0.0 else 0.0
-    where = where if where < 1.0 else 1.0
+    where = min(1.0, max(0.0, along / (size if size > 0.0 else 1.0)))
     for a in range(axes):
         start = points[i - 1, a] if i else before[a, 0]
         gap = vertices[v, a] - start - where * (points[i, a] - start)
@@ -109,7 +105,7 @@ def _to_vertex(
                 gap *= share[v, a]
             last += gap * gap
         where = 1.0 if last < away else where
-        away = last if last < away else away
+        away = min(away, last)
     return away, where
 
 
@@ -233,8 +229,7 @@ def _advance(
             for a in range(axes):
                 along += (points[i, a] - commanded[start, a]) * vector[k, a]
             place = along * per_square
-            where = place if place > 0.0 else 0.0
-            where = where if where < 1.0 else 1.0
+            where = min(1.0, max(0.0, place))
             for a in range(axes):
                 gap = points[i, a] - commanded[start, a] - where * vector[k, a]
                 away += gap * gap
@@ -243,11 +238,11 @@ def _advance(
             if behind > 0.0 and behind * behind > error:
                 beside, room = (where - place) * long, (1.0 - where) * long
                 on = (behind * behind - error) / (2.0 * (behind + beside))
-                on = on if on < room else room
-                on = on if on > 0.0 else 0.0
+                on = min(room, on)
+                on = max(0.0, on)
                 error += on * (2.0 * beside + on)
-            error = error if error > held else held
-            least = error if error < least else least
+            error = max(held, error)
+            least = min(least, error)
             value[row, 0] = least
             carry = held
             if k == last or not least > most:  # good enough: no later place is better

@@ -91,7 +91,7 @@ _scale_fast = njit(nogil=True)(_scale)
 def _sweep(  # noqa: PLR0915 - one loop over parts of a block, whose arrays all measures share
     actual: FloatArray,
     time_s: FloatArray,
-    shares: Shares,
+    shares: tuple[FloatArray | None, FloatArray | None],
     path: _Path,
     parts: _Parts,
     at_once: int,
@@ -108,8 +108,7 @@ def _sweep(  # noqa: PLR0915 - one loop over parts of a block, whose arrays all 
     at_once = max(min(at_once, samples), 1)
     follows = len(turning.closed) > 0
     moves, leaves = len(progress.worst) > 0, len(contour.farthest.squared) > 0
-    weighted = len(share) > 0
-    own_share = share[:0]
+    own_share: FloatArray | None = None
     # Row 0 is the sample before.
     points, chord = np.empty((at_once + 1, axes, runs)), np.empty((at_once + 1, runs), np.int64)
     squared, common = np.empty((at_once + 1, runs)), np.full(at_once + 1, -1)
@@ -139,16 +138,16 @@ def _sweep(  # noqa: PLR0915 - one loop over parts of a block, whose arrays all 
             enclose(points[:rows], boxes)
         if follows:
             follow_turnings(here, boxes, time_s[low:high], low, turning)
-        if not weighted and (leaves or moves):
+        if share is None and (leaves or moves):
             nearest_in_boxes(here, candidates, chords, axes_each, nearest)
         if moves:
-            if weighted:
-                nearest_chords_each(here, candidates, chords, axes_each, share[:0], away, near)
-            move_on(here, boxes, away, low, progress)
+            if share is not None:
+                nearest_chords_each(here, candidates, chords, axes_each, None, away, near)
+            move_on(here, boxes, away, low, axes_each, progress)
             if len(progress.between.velocity):
                 charge_bows(here, low, progress.between, progress.charge)
         if leaves:
-            if weighted:
+            if share is not None:
                 own_share = share[low:high]
                 nearest_chords_each(here, candidates, chords, axes_each, own_share, away, near)
             if low == 0 and contour.fresh:
@@ -242,6 +241,15 @@ def _part_of(parts: Mapping[type, NamedTuple], none: PartT) -> PartT:
     return found
 
 
+def loops_of_one_run_serve() -> bool:
+    """Return whether a single run is judged by its own loops, not by the loops of many runs.
+
+    Its own are faster, and find the same. A process that has compiled only the loops of many runs,
+    and judges the planned path beside the program, does not compile the others as well.
+    """
+    return bool(contour_of_one.signatures) or not vertices_to_path.signatures
+
+
 def _over(block: Block, parts: Mapping[type, NamedTuple]) -> None:
     """Sweep over a block with at most one part of each type."""
     at_once = max(AT_ONCE // block.runs, 1)
@@ -254,7 +262,7 @@ def _over(block: Block, parts: Mapping[type, NamedTuple]) -> None:
         _sweep_drives_fast(peak, rms, dac, at_once)
     if parts.keys() <= _OF_DRIVES:
         return
-    if block.runs == 1:
+    if block.runs == 1 and loops_of_one_run_serve():
         _over_positions_of_one(block, parts)
     else:
         _over_positions(block, parts, at_once)
@@ -292,10 +300,9 @@ def _over_positions_of_one(block: Block, parts: Mapping[type, NamedTuple]) -> No
     if shares is not None and path.shares is not None:
         weights = Shares(shares[:, :, 0], path.shares)
         nearest_of_one(points, candidates, chords, weights.samples, squared, chord)
-    share = none[:, :, None] if shares is None else shares
     if block.left is not None:
         nearest = Nearest(squared[:, None], chord[:, None], np.full(len(points), -1))
-        charge_trailing(block.at_tool, candidates, block.left, path.vertices, share, nearest)
+        charge_trailing(block.at_tool, candidates, block.left, path.vertices, shares, nearest)
     bows = NO_BOWS
     if len(contour.velocity):
         samples, axes = points.shape
@@ -303,7 +310,7 @@ def _over_positions_of_one(block: Block, parts: Mapping[type, NamedTuple]) -> No
         _scale_fast(contour.velocity, contour.scale, bows.tangents[1:])
         bows.tangents[0] = bows.tangents[1] if contour.fresh else contour.tangent
         before = block.at_tool[0] if contour.fresh else contour.point
-        bound_bows(np.concatenate([before[None], block.at_tool]), share, bows)
+        bound_bows(np.concatenate([before[None], block.at_tool]), shares, bows)
     contour_of_one(points, squared, chord, path.vertices, weights, bows, contour)
 
 
@@ -326,10 +333,7 @@ def _over_positions(block: Block, parts: Mapping[type, NamedTuple], at_once: int
     _sweep(
         actual,
         block.time_s,
-        Shares(
-            np.empty((0, len(axes), block.runs)) if shares is None else shares,
-            np.empty((0, len(axes))) if vertex_share is None else vertex_share,
-        ),
+        (shares, vertex_share),
         around,
         _Parts(
             _part_of(parts, _NO_CONTOUR),
