@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 
 from threadline.cli.output import print_table
-from threadline.jobs.gcode.feeds import RULES, of_which
+from threadline.jobs.gcode.feeds import RULES, speed_of
 from threadline.jobs.operations import FeedMode, Job
 from threadline.machine import Machine
 from threadline.machine.motion_planner import GrblPlanner, KlipperPlanner
@@ -210,10 +210,10 @@ def settings_words(job: Job, machine: Machine, result: FastestJob) -> Iterator[s
         yield f"to set: feed override {typed(100.0 * best.found.best)} %; every F keeps its ratio"
     else:
         f_word = typed(60_000.0 * best.found.best)
-        yield f"to set: F {f_word}, the speed {of_which(rule)}, in mm/min{mode}"
+        yield f"to set: F {f_word}, the speed {speed_of(rule)}, in mm/min{mode}"
     is_other_rule = job.feed_rule.partition(":")[0] in RULES and job.feed_rule != rule
     if result.by is FeedMode.FASTEST_AXIS and is_other_rule:
-        other = f"{of_which(job.feed_rule)} (feed mode {job.feed_rule})"
+        other = f"{speed_of(job.feed_rule)} (feed mode {job.feed_rule})"
         yield f"F of this job is another speed: {other}"
     if len(result.rungs) + len(result.left_out) < _SEARCHED:
         return

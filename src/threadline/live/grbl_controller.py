@@ -374,7 +374,7 @@ AHEAD_S = 0.2
 _SEGMENT_S = 0.05
 
 
-def fastest_by_hand(controller: Controller, axis: str) -> float:
+def axis_manual_feed(controller: Controller, axis: str) -> float:
     """Return the manual feed of an axis, m/s or rad/s.
 
     Raises
@@ -423,7 +423,7 @@ class GrblJog:
     def __init__(
         self, controller: Controller, at: float, axis: str, velocity: float, end: float | None
     ) -> None:
-        machine, most = controller.machine, fastest_by_hand(controller, axis)
+        machine, most = controller.machine, axis_manual_feed(controller, axis)
         if not 0.0 < abs(velocity) <= most * (1.0 + 1e-9):
             raise CommandError(
                 f"axis {axis}: {speed_words(machine, axis, abs(velocity))} is no speed up to the "

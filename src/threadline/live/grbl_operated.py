@@ -14,7 +14,7 @@ from threadline.errors import CommandError, LinkFaultError
 from threadline.files import Channel, RunEnd
 from threadline.live.executor import LEASE_S
 from threadline.live.grbl_console import GrblBoard, Traffic, console_line
-from threadline.live.grbl_controller import Controller, GrblJog, fastest_by_hand
+from threadline.live.grbl_controller import Controller, GrblJog, axis_manual_feed
 from threadline.live.grbl_program import notes_on, rest_of_program, written_program
 from threadline.live.grbl_run import POLL_S, GrblRun
 from threadline.live.grbl_words import Status, in_words
@@ -274,7 +274,7 @@ class GrblOperated(GrblRun):
             If the machine is not idle, has no such axis, or the position is beyond its travel.
         """
         next_state(self.state, Cause.JOG)
-        manual_feed = fastest_by_hand(self.controller, axis)
+        manual_feed = axis_manual_feed(self.controller, axis)
         k = self._machine.axis_names.index(axis)
         end = to_counts / float(self._machine.counts_per_unit[k])
         velocity = manual_feed if end >= self._at[k] else -manual_feed

@@ -415,7 +415,9 @@ class Owner:
 class BoardReports:
     """Reports on a controller's settings and lines, each sent once.
 
-    Parameters ---------- executor
+    Parameters
+    ----------
+    executor
         The machine; without a board there are no reports.
     """
 

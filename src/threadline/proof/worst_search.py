@@ -401,7 +401,7 @@ class WorstSearch:
     def _flips(self, climb: _Climb) -> list[FloatArray]:
         """Return the machines of a climb's next step: each has one number moved to another end."""
         machines, (_, index) = [], climb
-        for k in self._told(climb):
+        for k in self._still_tried(climb):
             farthest = self._within.ends[k]
             for end in (farthest, -farthest):
                 machine = self.parts[index].copy()
@@ -413,14 +413,14 @@ class WorstSearch:
     def _inside(self, climb: _Climb) -> list[FloatArray]:
         """Return the machines with one number at its nominal value, or half-way to it."""
         machines, (_, index) = [], climb
-        for k in self._told(climb):
+        for k in self._still_tried(climb):
             for factor in (0.0, 0.5):
                 machine = self.parts[index].copy()
                 machine[k] *= factor
                 machines.append(machine)
         return machines
 
-    def _told(self, climb: _Climb) -> list[int]:
+    def _still_tried(self, climb: _Climb) -> list[int]:
         """Return the numbers that a climb still tries: those not known to have no effect."""
         idle = self._idle.get(climb, frozenset())
         return [k for k in self._moving.tolist() if k not in idle]

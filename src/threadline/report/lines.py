@@ -14,7 +14,7 @@ from threadline.commands.plan import Motion, Plan, Scheduled, Stitched
 from threadline.commands.turns import Sewn
 from threadline.files import TickTable, tick_table
 from threadline.jobs.feed_times import dwells_s
-from threadline.jobs.gcode.feeds import of_which
+from threadline.jobs.gcode.feeds import speed_of
 from threadline.jobs.operations import Job, Source, begins_circuit
 from threadline.motion.path.interpolations import OPTIMAL
 from threadline.proof.pipeline import Proof
@@ -235,7 +235,7 @@ def feed_lines(plan: Plan) -> list[str]:
     if nominal_s is None:
         return []
     turning = any(plan.machine.axes[axis].kind == "rotary" for axis in plan.job.axes)
-    length = of_which(plan.job.feed_rule, turning=turning)
+    length = speed_of(plan.job.feed_rule, turning=turning)
     rest_s = dwells_s(plan.job)
     rests = f"; {rest_s:.6g} s of both are dwells" if rest_s else ""
     return [

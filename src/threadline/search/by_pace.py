@@ -66,7 +66,9 @@ from threadline.verdict import Verdict
 class Answer:
     """Result of a search of any kind.
 
-    Parameters ---------- question
+    Parameters
+    ----------
+    question
         The question.
     best, unit
         The best pace or the shortest duration, and its unit; None where nothing is in spec.

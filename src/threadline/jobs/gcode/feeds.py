@@ -170,14 +170,14 @@ def as_f_words(value_m_s: float, rule: str) -> Feed:
     return Feed(RULES[name][0], value_m_s, tuple(base.split(",")) if base else ())
 
 
-def of_which(rule: str, *, turning: bool = True) -> str:
+def speed_of(rule: str, *, turning: bool = True) -> str:
     """Return a text that names the speed set by F, by the rule text of ``Job.feed_rule``.
 
     Without ``turning`` no axis turns, and the text says nothing about axes that do.
 
-    >>> of_which("base-axes:A,X"), of_which("x-winder")
+    >>> speed_of("base-axes:A,X"), speed_of("x-winder")
     ('of the base axes, a rotary axis at its radius', 'of the carriage, a second')
-    >>> of_which("grbl", turning=False), of_which("linuxcnc", turning=False)
+    >>> speed_of("grbl", turning=False), speed_of("linuxcnc", turning=False)
     ('of all axes together', 'of X Y Z')
     """
     name = rule.partition(":")[0]
