@@ -26,6 +26,13 @@ another begins:
   no such corners.
 
 What it prints is the largest used share of a limit that is not of the plan alone, and where it is.
+
+    python -m tools.break_claims grid=2000 days 'threadline prove examples/x-180.prg ...'
+
+covers a claim that depends on at most two numbers of a day, such as supply and the place of one
+encoder, by a grid of 2000 by 2000 days. It first finds the numbers that change any result. It also
+prints what every second, fourth and eighth value of each finds: how little the worst grows with a
+finer grid tells what may hide between its points.
 """
 
 from __future__ import annotations
@@ -42,7 +49,7 @@ import numpy as np
 
 from threadline.base.arrays import FloatArray
 from threadline.commands.plan import Plan
-from threadline.errors import MachineError, RecordingError
+from threadline.errors import MachineError, OptionError, RecordingError
 from threadline.machine import Machine, load_machine
 from threadline.machine.numbers import number_at
 from threadline.machine.variants import numbers_at, uncertain, variant
@@ -70,6 +77,9 @@ BROKEN = 10.0  # share of a limit of 0 that was not kept
 MEAN_OF = 1200  # days
 SPREAD, MEAN, AWAY = "repeatability", "mean of days", "distance from the mean of days"
 TOLD_S = 60.0  # of processor time between two lines about candidates without news
+
+MOST_OF_A_GRID = 2  # numbers
+GRID_AT_ONCE = BESIDE * CANDIDATES
 
 Climb = Generator[FloatArray, FloatArray, None]
 """Yields (k, size) places, and is sent their (k,) used shares."""
@@ -445,12 +455,62 @@ def searched(command: str, machines: bool, limit_s: float, seed: int = 1) -> Map
     return claim.answer()
 
 
-def main(limit_s: str, what: str, *words: str) -> None:
+def changing(claim: Claim, random: np.random.Generator) -> list[int]:
+    """Return the numbers of a place that change any result of any of some random places."""
+
+    def results(places: FloatArray) -> FloatArray:
+        return np.stack([row.values for row in claim.runs.judged(places).rows])
+
+    places = random.uniform(-1.0, 1.0, (CANDIDATES, claim.box.size))
+    before, found = results(places), []
+    for k in range(claim.box.size):
+        changed = places.copy()
+        changed[:, k] = random.uniform(-1.0, 1.0, CANDIDATES)
+        if not np.array_equal(results(changed), before, equal_nan=True):
+            found.append(k)
+    return found
+
+
+def covered(command: str, count: int) -> Mapping[str, object]:
+    """Judge a grid of ``count`` values of each number of a day that changes any result.
+
+    Raises
+    ------
+    OptionError
+        If more than two numbers do.
+    """
+    claim = Claim(command, machines=False)
+    numbers = changing(claim, np.random.default_rng(1))
+    if len(numbers) > MOST_OF_A_GRID:
+        raise OptionError(
+            f"{len(numbers)} numbers of a day change the results; a grid covers {MOST_OF_A_GRID}",
+            remedy="Give a time in seconds instead of grid=N, which searches them.",
+        )
+    endless = claim.box.size - claim.box.endless
+    ends = np.linspace(-1.0, 1.0, count)
+    cells = (2.0 * np.arange(count) + 1.0) / count - 1.0  # the last is beside the first
+    values = [cells if k >= endless else ends for k in numbers]
+    grid = np.stack(np.meshgrid(*values, indexing="ij")).reshape(len(numbers), -1).T
+    shares = np.empty(len(grid))
+    for low in range(0, len(grid), GRID_AT_ONCE):
+        part = grid[low : low + GRID_AT_ONCE]
+        places = np.zeros((len(part), claim.box.size))
+        places[:, numbers] = part
+        shares[low : low + len(part)] = claim.shares(places)
+    whole = shares.reshape([count] * len(numbers))
+    coarser = {n: float(whole[tuple([slice(0, None, n)] * len(numbers))].max()) for n in (8, 4, 2)}
+    return {**claim.answer(), "changing": len(numbers), "every": coarser}
+
+
+def main(limit: str, what: str, *words: str) -> None:
     """Search each claim, and print what was found."""
     seed = int(words[0].removeprefix("seed=")) if words[0].startswith("seed=") else 1
     for command in words if not words[0].startswith("seed=") else words[1:]:
         print(command, flush=True)
-        found = searched(command, what == "machines", float(limit_s), seed)
+        if limit.startswith("grid="):
+            found = covered(command, int(limit.removeprefix("grid=")))
+        else:
+            found = searched(command, what == "machines", float(limit), seed)
         print(json.dumps(found), flush=True)
 
 

@@ -7,8 +7,9 @@ from unittest.mock import patch
 
 import numpy as np
 import pytest
-from tools.break_claims import AWAY, BROKEN, MEAN_OF, ROOT, Claim, used
+from tools.break_claims import AWAY, BROKEN, MEAN_OF, ROOT, Claim, changing, covered, used
 
+from threadline.errors import OptionError
 from threadline.machine.vary import REPEAT_SEED, drawn_days, varied_numbers
 from threadline.proof.pipeline import Trials, prove_plan
 from threadline.verdict import EachRun
@@ -88,3 +89,31 @@ def test_a_machine_of_its_own_for_each_run_is_searched() -> None:
     shares = claim.shares(places)
     assert shares[0] < 0.25 < 0.5 < shares[1]
     assert claim.answer()["share"] == shares[1]
+
+
+LIMITED = (  # by the current of its drives
+    "threadline prove examples/x-180.prg -m lathe-winder --interpolation optimal "
+    '--feed "4.96022 m/s" --feed-forward --reserve "volts 0.56 %, current 2.62 %"'
+)
+
+
+@pytest.mark.parametrize(("claim", "supply_counts"), [(FAST, False), (LIMITED, True)])
+def test_a_grid_covers_the_numbers_that_change_a_day(claim: str, supply_counts: bool) -> None:
+    """Of a job that moves X alone without friction: the place of X between counts, and supply."""
+    made = Claim(claim, machines=False)
+    numbers = changing(made, np.random.default_rng(3))
+    supply, phase_of_x = 1, 2 + made.plan.machine.axis_names.index("X")
+    assert numbers == ([supply, phase_of_x] if supply_counts else [phase_of_x])
+    found = covered(claim, 8)
+    values = {supply: np.linspace(-1.0, 1.0, 8), phase_of_x: (np.arange(8) + 0.5) / 4 - 1.0}
+    grid = np.meshgrid(*(values[k] for k in numbers))
+    places = np.zeros((8 ** len(numbers), made.box.size))
+    places[:, numbers] = np.stack([side.ravel() for side in grid], axis=1)
+    shares, _ = used(made.runs.judged(places))
+    assert (found["tried"], found["share"]) == (len(places), shares.max())
+
+
+def test_a_grid_is_refused_where_more_numbers_change_a_day() -> None:
+    claim = "threadline prove examples/stitcher-75.seam.toml -m examples/stitcher-75.toml"
+    with pytest.raises(OptionError, match="numbers of a day change the results"):
+        covered(f'{claim} --feed-forward --smoothing "24 ms"', 8)
