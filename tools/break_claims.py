@@ -497,6 +497,8 @@ def covered(command: str, count: int) -> Mapping[str, object]:
         places = np.zeros((len(part), claim.box.size))
         places[:, numbers] = part
         shares[low : low + len(part)] = claim.shares(places)
+    best = int(np.argmax(shares))
+    claim.worst, claim.at[numbers] = float(shares[best]), grid[best]
     whole = shares.reshape([count] * len(numbers))
     coarser = {n: float(whole[tuple([slice(0, None, n)] * len(numbers))].max()) for n in (8, 4, 2)}
     return {**claim.answer(), "changing": len(numbers), "every": coarser}
