@@ -12,7 +12,6 @@ import numpy as np
 
 from threadline.commands.plan import Plan
 from threadline.files import Channel, ChannelKind, Recording, RecordingBlock
-from threadline.machine.parts import Axis
 from threadline.verdict.blocks import find_first, judged_blocks, master_channel, peak_channels
 from threadline.verdict.bow import FOLLOWED, bows
 from threadline.verdict.by_time import WatchedOperations, with_operation
@@ -20,7 +19,13 @@ from threadline.verdict.coverage import Coverage, Lack
 from threadline.verdict.finding import Finding, Hidden, RunFindings
 from threadline.verdict.measure import MeasureKind, Needs, Running, RunReading
 from threadline.verdict.needle import planned_stitches
-from threadline.verdict.samples import Block, Setting, sample_interval_s, samples_of_lag
+from threadline.verdict.samples import (
+    Block,
+    Setting,
+    largest_acceleration,
+    sample_interval_s,
+    samples_of_lag,
+)
 from threadline.verdict.tracking import as_intended
 from threadline.verdict.window import PathWindow
 
@@ -265,7 +270,9 @@ class MotionRun(Setting):
             why = f"that says nothing of speeds over {1e3 * over_s:.4g} ms"
             return Hidden(coarsest.name, interval_s, np.inf, why, enough_s=over_s)
         of_axes = [self.axes.index(axis)] if axis else range(len(self.axes))
-        most = np.array([_most(self.plan.machine.axes[self.axes[k]]) for k in of_axes])
+        most = np.array(
+            [largest_acceleration(self.plan.machine.axes[self.axes[k]]) for k in of_axes]
+        )
         at_tool = float(np.linalg.norm(most * self.radius_m[list(of_axes)]))
         away = interval_s**2 / 8.0
         hidden_m = at_tool * away
@@ -332,12 +339,6 @@ class MotionRun(Setting):
 
 _VELOCITY_S = 0.02  # averaging time of the velocity of a recording
 _PLACES = {ChannelKind.TOOL, ChannelKind.LOAD, ChannelKind.MEASURED}
-
-
-def _most(axis: Axis) -> float:
-    """Return the largest acceleration that a machine file allows of an axis."""
-    braking = axis.acceleration if axis.deceleration is None else axis.deceleration
-    return max(axis.acceleration.si, braking.si)
 
 
 def _with_hidden(hidden: Hidden, finding: Finding) -> Finding:

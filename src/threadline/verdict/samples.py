@@ -16,6 +16,7 @@ from threadline.base.compiled import njit
 from threadline.commands.plan import Plan
 from threadline.errors import BudgetError, RecordingError
 from threadline.files import Channel, Recording, RecordingBlock
+from threadline.machine.parts import Axis
 from threadline.verdict.nearest import Candidates, Nearest, charge_trailing, nearest_chords
 from threadline.verdict.window import PathWindow
 
@@ -29,6 +30,12 @@ def sample_interval_s(channel: Channel) -> float:
     period_s = channel.clock.period_s
     # The quotient of two integers is correctly rounded, and no fraction needs to be reduced.
     return period_s.numerator * channel.stride / period_s.denominator
+
+
+def largest_acceleration(axis: Axis) -> float:
+    """Return the largest acceleration that a machine file allows of an axis."""
+    braking = axis.acceleration if axis.deceleration is None else axis.deceleration
+    return max(axis.acceleration.si, braking.si)
 
 
 def finite_samples(channel: Channel, block: RecordingBlock) -> FloatArray:

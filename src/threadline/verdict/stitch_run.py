@@ -22,16 +22,23 @@ from threadline.files import Channel, ChannelKind, Recording, RecordingBlock
 from threadline.files.step_play import concatenated_intervals
 from threadline.verdict.coverage import Coverage
 from threadline.verdict.demands import SLACK
-from threadline.verdict.finding import Finding, RunFindings, Worst
+from threadline.verdict.finding import Finding, Hidden, RunFindings, Worst
 from threadline.verdict.measure import Measure, Option, Running, RunReading
 from threadline.verdict.needle import Stitches, has_stitches
-from threadline.verdict.samples import Block, Setting, finite_samples
+from threadline.verdict.samples import (
+    Block,
+    Setting,
+    finite_samples,
+    largest_acceleration,
+    sample_interval_s,
+)
 from threadline.verdict.sewn import Figure, SewnStitches, StitchFollower
 
 OPTIONS = {"delay": Option(unit="s", default=0.0)}
 SPEED_OPTIONS = {**OPTIONS, "over": Option(unit="s", default=0.002)}
 _NONE = "the job has no stitches"
 _WORDS = {False: ("too long", "too short"), True: ("too fast", "too slow")}
+_ROUNDING = 1e-9
 SHORT = "the recording ends before this stitch"
 
 
@@ -201,6 +208,27 @@ class StitchRun:
     def places_m(self) -> FloatArray:
         """(s, A) intended places of the frame."""
         return self.stitched.places_m[self.turns]
+
+    def hidden(self, axis: str) -> Hidden | None:
+        """Return by how much the frame may be farther from its place than at the samples, m.
+
+        While it brakes at the acceleration a of the machine file, a frame is a T^2 / 2 from its
+        place at a time T before; an excursion between two samples is a quarter of that. None for
+        a simulated recording with a sample at each tick.
+        """
+        load = self.recording.find(ChannelKind.LOAD, axis)
+        if load is None:
+            return None
+        interval_s, tick_s = sample_interval_s(load), float(self.plan.machine.tick_clock.period_s)
+        if self.recording.simulated and interval_s <= tick_s * (1.0 + _ROUNDING):
+            return None
+        most_m_s2 = largest_acceleration(self.plan.machine.axes[axis])
+        most_m = 0.5 * most_m_s2 * interval_s**2
+        why = (
+            f"beside one of them the frame may be {1e3 * most_m:.4g} mm farther away, at the "
+            f"{most_m_s2:.4g} m/s^2 of the machine file"
+        )
+        return Hidden(load.name, interval_s, most_m, why)
 
     @property
     def sewn(self) -> Sewn:
@@ -444,7 +472,7 @@ def stitch_residual(run: StitchRun, _options: Mapping[str, float]) -> list[Findi
                 f"at {_speed(float(alone_s[int(np.nanargmax(residual))]))}"
             )
             worst = replace(worst, note=f"{worst.note}; {note}")
-        found.append(worst)
+        found.append(replace(worst, hidden=run.hidden(axis)))
     return found
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from threadline.base.arrays import FloatArray
 from threadline.dynamics.pneumatic import step_ringing
 from threadline.files import ChannelKind
-from threadline.verdict.finding import Finding
+from threadline.verdict.finding import Finding, Hidden
 from threadline.verdict.switch_run import RunStep, SwitchRun, sample_at
 
 _LEAST_PERIODS = 0.5  # a shorter part does not show both extremes of the ringing
@@ -80,9 +80,11 @@ def _ringing(
         return replace(blank, note="it is recorded too seldom to see what rings")
     part = values[inside]
     rest = 0.5 * (part.max() + part.min())
+    amplitude_m = 0.5 * float(np.ptp(part))
     return replace(
         blank,
-        value=0.5 * float(np.ptp(part)),
+        value=amplitude_m,
+        hidden=run.hidden_ringing(axis, pole, amplitude_m),
         time_s=float(time_s[inside.start + int(np.argmax(np.abs(part - rest)))]),
         note="" if seen >= 1.0 else f"{seen:.2f} of a period is seen before it moves again",
     )
@@ -137,6 +139,9 @@ def settling_time(run: SwitchRun, options: Mapping[str, float]) -> list[Finding]
         return [Finding(value=None, note=note)]
     if not run.steps:
         return _unknown(run)
+    poles = {axis: step_ringing(run.plan.machine, axis).pole for axis in axes}
+    shares = {axis: run.largest_share(axis, poles[axis]) for axis in axes}
+    coarsest = max((run.hidden_ringing(axis, poles[axis], 0.0) for axis in axes), key=_most)
     found = []
     for step in run.steps:
         ends = [m.end_s for m in run.moves if step.begin_s - 1e-9 <= m.begin_s < step.end_s - 1e-9]
@@ -149,7 +154,9 @@ def settling_time(run: SwitchRun, options: Mapping[str, float]) -> list[Finding]
             time_s, values = frame
             why = why or run.ends_too_early(time_s, run.due_s(step, axis))
             inside = _between(time_s, last_s, run.quiet_s(step, axis)[1])
-            out = np.flatnonzero(np.abs(values[inside] - values[0]) > options["band"])
+            # A frame may leave the band between two samples; too few say nothing of it.
+            seen_m = options["band"] * (shares[axis] or 1.0)
+            out = np.flatnonzero(np.abs(values[inside] - values[0]) > seen_m)
             settled = float(time_s[inside.start + out[-1]]) - last_s if len(out) else 0.0
             never = bool(len(out)) and inside.start + int(out[-1]) + 1 == inside.stop
             value = float("inf") if never else settled
@@ -162,8 +169,12 @@ def settling_time(run: SwitchRun, options: Mapping[str, float]) -> list[Finding]
                     time_s=last_s + settled,
                     note=note if settled else "",
                 )
-        found.append(replace(worst, unseen=why))
+        found.append(replace(worst, unseen=why, hidden=coarsest))
     return found
+
+
+def _most(hidden: Hidden) -> float:
+    return hidden.most
 
 
 def end_position_error(run: SwitchRun, _options: Mapping[str, float]) -> list[Finding]:

@@ -20,9 +20,9 @@ from threadline.commands.plan import Plan
 from threadline.errors import RecordingError
 from threadline.files import Channel, ChannelKind, Clock, Creep, Event, Recording
 from threadline.verdict.coverage import Coverage, Lack
-from threadline.verdict.finding import RunFindings
+from threadline.verdict.finding import Hidden, RunFindings
 from threadline.verdict.measure import Running, RunReading
-from threadline.verdict.samples import Block
+from threadline.verdict.samples import Block, sample_interval_s
 
 Samples: TypeAlias = NDArray[np.float64] | NDArray[np.int8]
 """Samples of a channel; switches are int8, an eighth of the memory."""
@@ -54,6 +54,8 @@ def sample_at(times_s: FloatArray, end_s: float) -> int:
 
 _ROUNDING_S = 1e-9
 _ROUNDING = 1e-6  # of a sample: instants are sums
+_NYQUIST = 0.5  # of a period from sample to sample: at this interval a sine may be 0 at each
+_PER_PERIOD = 8.0  # samples in a period show an amplitude to 8 %
 UNNAMED = "begin"
 """Name of the step of moves before the first named step of the list."""
 
@@ -267,6 +269,28 @@ class SwitchRun:
         channel = self.recording.find(kind, axis)
         lack = None if channel is None else self._lack_of(channel)
         return f"no {kind.value} channel of {axis}" if lack is None else lack.why
+
+    def largest_share(self, axis: str, pole: complex) -> float:
+        """Return which share of its amplitude a frame that rings reaches at a sample, at least.
+
+        At samples T apart it is cos(pi T / P) for a period P: the motion between two of them is at
+        most T / 2 from one. 0 where less than two samples lie in a period.
+        """
+        channel = self.recording.find(ChannelKind.FRAME, axis)
+        assert channel is not None
+        periods = sample_interval_s(channel) * abs(pole) / (2.0 * np.pi)
+        return float(np.cos(np.pi * periods)) if periods < _NYQUIST else 0.0
+
+    def hidden_ringing(self, axis: str, pole: complex, amplitude_m: float) -> Hidden:
+        """Return by how much a frame may ring more than its samples show, m."""
+        channel = self.recording.find(ChannelKind.FRAME, axis)
+        assert channel is not None
+        share, period_s = self.largest_share(axis, pole), 2.0 * np.pi / abs(pole)
+        most_m = amplitude_m * (1.0 / share - 1.0) if share > 0.0 else np.inf
+        why = f"the frame of {axis} rings with a period of {1e3 * period_s:.4g} ms"
+        return Hidden(
+            channel.name, sample_interval_s(channel), most_m, why, enough_s=period_s / _PER_PERIOD
+        )
 
     def _lack_of(self, channel: Channel) -> Lack | None:
         """Return the missing part of a channel since the first switching, except its end."""
