@@ -98,6 +98,18 @@ def test_the_file_says_all_that_the_proof_is_made_from(shop: Path) -> None:
     assert proved(shop, *WINDER).read_bytes() == file.read_bytes()
 
 
+def test_a_proof_of_a_machine_without_loops_reads_back_what_it_wrote(shop: Path) -> None:
+    """The contour limit of ``optimal`` bounds the following error of loops: a stepper has none."""
+    (shop / "line.gcode").write_text("G21 G90 G94\nG1 X20 A90 F2000\nX40 A0\nM30\n")
+    words = ("prove", "line.gcode", "-m", "stepper-winder", "--interpolation", "optimal", "--json")
+    status, said = run(*words, "--proof", "x.proof.json", "--recording", "x.npz")
+    assert status in {0, 1}, said
+    assert "contour" not in json.loads(Path("x.proof.json").read_text())["options"]["given"]
+    assert run("verify", "x.proof.json")[0] == 0
+    judged, said = run("judge", "x.npz", "--json")
+    assert judged == status, said
+
+
 def test_two_feeds_of_one_job_differ(shop: Path) -> None:
     slow = json.loads(proved(shop, *WINDER).read_text())
     fast = json.loads(proved(shop, *WINDER[:3], "12 count/tick", *WINDER[4:]).read_text())

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from tests.onoff.cycles import TRIMMED, altered, run
+from threadline.dynamics.pneumatic import step_ringing
 from threadline.errors import RecordingError
 from threadline.files import Recording, RecordingBlock, Stream
 from threadline.jobs import read_job
@@ -275,3 +276,56 @@ def test_required_criterion_that_cannot_be_measured_is_not_proven(tmp_path: Path
     assert results[0].note == "it moves again before it has come to rest"
     assert results[0].required
     assert not proof.verdict.passed
+
+
+def seldom(recording: Recording, name: str, count: int) -> Recording:
+    """Return a recording with each ``count``-th sample of a channel."""
+    blocks = list(recording)
+    samples = {
+        c.name: np.concatenate([block.samples[c.name] for block in blocks])
+        for c in recording.channels
+    }
+    channels = tuple(replace(c, stride=count) if c.name == name else c for c in recording.channels)
+    samples[name] = samples[name][::count]
+    events = tuple(event for block in blocks for event in block.events)
+    block = RecordingBlock(first_tick=blocks[0].first_tick, samples=samples, events=events)
+    return replace(recording, channels=channels, blocks=Stream.of([block]))
+
+
+def test_ringing_counts_by_what_samples_can_miss_of_it(shaped: Proof) -> None:
+    """Samples T apart show at least cos(pi T / P) of an amplitude that rings with period P."""
+    period_s = 2.0 * np.pi / abs(step_ringing(shaped.plan.machine, "X").pole)
+    for count, share in ((60, np.cos(np.pi * 0.06 / period_s)), (200, 0.0)):
+        recording = seldom(shaped.recording, "X.frame", count)
+        found = [r for r in judge([recording], shaped.plan, shaped.spec).results if r.axis == "X"]
+        ringing = [r for r in found if r.name == "residual_vibration" and r.measured is not None]
+        if not share:
+            assert not ringing
+            continue
+        worst = max(ringing, key=lambda r: r.measured)
+        for room, status in ((1.001, Status.PASSED), (0.999, Status.NOT_MEASURED)):
+            limit = room * worst.measured / share
+            asked = replace(
+                shaped.spec,
+                criteria=(
+                    Criterion(name="residual_vibration", axis="X", step=worst.step, limit=limit),
+                ),
+            )
+            (again,) = judge([recording], shaped.plan, asked).results
+            assert again.status is status
+            if status is Status.NOT_MEASURED:
+                assert f"with a period of {1e3 * period_s:.4g} ms" in again.note
+
+
+def test_samples_seldom_settle_later(shaped: Proof) -> None:
+    """A frame whose samples are in the band may leave it between them."""
+    often = judge([shaped.recording], shaped.plan, shaped.spec).result("settling_time")
+    recording = seldom(shaped.recording, "X.frame", 120)
+    rare = judge([recording], shaped.plan, shaped.spec).result("settling_time")
+    assert rare.measured > often.measured
+    recording = seldom(shaped.recording, "X.frame", 200)
+    limited = replace(shaped.spec, criteria=(Criterion(name="settling_time", limit=10.0),))
+    assert judge([shaped.recording], shaped.plan, limited).passed
+    assert judge([recording], shaped.plan, limited).result("settling_time").status is (
+        Status.NOT_MEASURED
+    )

@@ -10,12 +10,14 @@ import pytest
 from threadline.errors import LimitError, OptionError
 from threadline.jobs import read_job
 from threadline.machine import load_machine
-from threadline.proof.options import Options
+from threadline.proof.options import Options, options_of
 from threadline.proof.pipeline import open_job, plan_job, prove_plan
 from threadline.search import fastest_needle, needle_range_hz
 from threadline.search.fastest import Grid, find_fastest
 from threadline.search.paced import Question, beyond
-from threadline.verdict import load_spec
+from threadline.verdict import Status, load_spec
+
+EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 
 SEAM = """
 [stitching]
@@ -86,3 +88,22 @@ def test_a_speed_that_is_refused_is_told_in_the_units_of_its_limit():
     far = LimitError("-", axis="Y", quantity="travel", value_si=-0.2, limit_si=-0.15)
     (result,) = beyond(far, machine).results
     assert (result.measured, result.limit, result.unit) == (pytest.approx(0.05), 0.0, "m")
+
+
+def test_a_speed_that_no_robust_change_reaches_is_out_of_specification() -> None:
+    """At 78 stitch/s the head cannot change its speed in time within 27 A; at 60 it can."""
+    machine, seam = load_machine("stitcher"), EXAMPLES / "stitcher-test-path.seam.toml"
+    options = options_of(feed_forward=True, robust="0 %")
+    job = open_job(seam, machine, options)
+    fast = replace(options, needle="78 stitch/s")
+    with pytest.raises(LimitError, match="no average over time changes the speed") as refused:
+        plan_job(open_job(seam, machine, fast), machine, fast)
+    (result,) = beyond(refused.value, machine).results
+    assert (result.name, result.measured, result.unit) == ("current_peak", None, "A")
+    assert result.status is Status.FAILED
+    question = Question(
+        job=job, machine=machine, spec=load_spec(None, machine), options=options,
+        low=60.0, high=78.0,
+    )  # fmt: skip
+    found = fastest_needle(question, Grid(near=1, points=2))
+    assert 1 < found.tried < 20

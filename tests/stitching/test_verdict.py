@@ -12,7 +12,7 @@ import pytest
 
 from tests.made import Made
 from threadline.errors import RecordingError
-from threadline.files import Recording, RecordingBlock
+from threadline.files import Recording, RecordingBlock, Stream
 from threadline.jobs import read_job
 from threadline.machine import load_machine
 from threadline.proof.option_words import parse_feed
@@ -227,6 +227,50 @@ def test_channels_of_other_instants_than_the_needle_are_not_measured() -> None:
     found = verdict.result("stitch_residual", "X")
     assert found.status is Status.NOT_MEASURED
     assert found.note.startswith("X.load and needle are not of the same instants")
+
+
+def every(count: int, bump_m: float) -> Recording:
+    """Return each ``count``-th sample; a motion of Y that is 0 at each 40th sample is added."""
+    recording = proof().recording
+    blocks = list(recording)
+    samples = {
+        c.name: np.concatenate([block.samples[c.name] for block in blocks])
+        for c in recording.channels
+    }
+    length = len(samples["Y.load"])
+    samples["Y.load"] = samples["Y.load"] + bump_m * np.sin(np.pi * np.arange(length) / 40) ** 2
+    block = RecordingBlock(
+        first_tick={name: 0 for name in blocks[0].first_tick},
+        samples={name: values[::count] for name, values in samples.items()},
+    )
+    channels = tuple(replace(c, stride=count) for c in recording.channels)
+    return replace(recording, channels=channels, blocks=Stream.of([block]))
+
+
+@pytest.mark.parametrize("bump_m", [0.0, 5e-3])
+def test_samples_far_apart_do_not_show_where_the_frame_stood(bump_m: float) -> None:
+    """A frame that brakes at a = 6.33 m/s^2 is a T^2 / 2 from its place at a time T before."""
+    verdict = judge([every(40, bump_m)], proof().plan, SPEC)
+    found = verdict.result("stitch_residual", "Y")
+    assert found.status is Status.NOT_MEASURED
+    assert "Y.load has a sample every 40 ms: " in found.note
+    assert "5.064 mm farther away, at the 6.33 m/s^2 of the machine file" in found.note
+    assert judge([every(1, bump_m)], proof().plan, SPEC).passed is (bump_m == 0.0)
+
+
+def test_a_measured_run_with_a_sample_each_millisecond_proves_the_stitches() -> None:
+    measured = replace(every(1, 0.0), simulated=False)
+    found = judge([measured], proof().plan, SPEC).result("stitch_residual", "Y")
+    assert found.status is Status.PASSED
+    tight = replace(
+        SPEC,
+        criteria=tuple(
+            replace(c, limit=found.measured + 3e-6) if c.name == "stitch_residual" else c
+            for c in SPEC.criteria
+        ),
+    )
+    found = judge([measured], proof().plan, tight).result("stitch_residual", "Y")
+    assert found.status is Status.NOT_MEASURED
 
 
 def test_move_too_long_for_its_window_fails_with_a_speed_that_suffices() -> None:

@@ -22,7 +22,7 @@ from threadline.dynamics.robust_averages import (
     frequencies_rad_s,
     robust_weights,
 )
-from threadline.errors import PlanError
+from threadline.errors import LimitError, PlanError
 from threadline.jobs.operations import FeedMode, Job, Move
 from threadline.machine import Machine
 from threadline.machine.vary import corners
@@ -196,9 +196,13 @@ def _without_limit(
         return None
     own = program.swing(found, stop=ways[0][0][0].stop)
     name, most = max(own.items(), key=lambda item: item[1])
-    return PlanError(
+    return LimitError(
         f"axes.{name}: the head cannot change its speed in time while it swings by at most "
         f"{swing:.2%} of it; without that limit it swings by {most:.0%}",
+        axis=name,
+        quantity="swing",
+        value_si=most,
+        limit_si=swing,
         remedy="Raise swing of the seam, or lower needle_speed. A swing before the head departs "
         "counts in stitches_to_speed.",
     )
@@ -281,7 +285,7 @@ class _Program:
 
         Raises
         ------
-        PlanError
+        LimitError
             If an axis has no weights and ``enough`` is not given.
         """
         found = []
@@ -290,10 +294,14 @@ class _Program:
             if best is None:
                 if np.isfinite(enough):
                     return None
-                raise PlanError(
+                raise LimitError(
                     f"axes.{name}: no average over time changes the speed by {axis.speed:.4g} "
                     f"within {self._change_s * 1e3:.4g} ms and {axis.current_limit_a:.4g} A on all "
                     "machines within the tolerances",
+                    axis=name,
+                    quantity="current_peak",
+                    value_si=np.inf,
+                    limit_si=axis.current_limit_a,
                     remedy="Give a longer --smoothing, or lower the speed.",
                 )
             found.append(best)

@@ -423,7 +423,8 @@ def describe(job: Job, machine: Machine, options: Options) -> dict[str, str]:
     for entry, recorded in RECORDED:
         value = getattr(options, entry.attribute)
         if recorded.key == _CONTOUR:  # write also the default, but nothing if it has no effect
-            value = options.allowance_m if options.interpolation == OPTIMAL else None
+            bounds_loops = options.interpolation == OPTIMAL and not machine.takes_positions
+            value = options.allowance_m if bounds_loops else None
         if (text := recorded.write(value)) is not None:
             texts[recorded.key] = text
     return texts

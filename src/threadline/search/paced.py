@@ -6,6 +6,7 @@ describes it, and ``fastest_paced`` searches.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -131,6 +132,7 @@ class Question:
 _CLOSE = 0.85
 """Used share of a limit from which on an untried machine may exceed it, because searches with
 different seeds differ by up to 6 %."""
+_UNITS = {"current_peak": "A", "swing": ""}
 _PER = {"travel": "", "velocity": "/s", "acceleration": "/s^2", "jerk": "/s^3"}
 
 
@@ -138,16 +140,25 @@ def beyond(error: LimitError, machine: Machine) -> Verdict:
     """Return the verdict on a plan that breaks a limit: the limit's criterion is failed."""
     is_travel = error.quantity == "travel"
     length_unit = "rad" if machine.axes[error.axis].kind == "rotary" else "m"
+    if error.quantity in _PER:
+        unit = f"{length_unit}{_PER[error.quantity]}"
+    else:
+        unit = _UNITS[error.quantity]
     result = Result(
         name=error.quantity,
         axis=error.axis,
-        measured=abs(error.value_si - error.limit_si) if is_travel else abs(error.value_si),
+        measured=abs(error.value_si - error.limit_si) if is_travel else _known(error.value_si),
         limit=0.0 if is_travel else error.limit_si,
-        unit=f"{length_unit}{_PER[error.quantity]}",
+        unit=unit,
         status=Status.FAILED,
         note="the plan is refused",
     )
     return Verdict(results=(result,), simulated=False)
+
+
+def _known(value_si: float) -> float | None:
+    """Return the size of a value; None where no finite value is enough."""
+    return abs(value_si) if math.isfinite(value_si) else None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
