@@ -211,8 +211,11 @@ def test_a_picture_without_any_speed_says_so() -> None:
     (panel,) = draw_mismatch(cells, "a title", NEEDLE).axes
     (text,) = panel.texts
     assert text.get_text() == (
-        "no needle speed is in spec on any of the 4 machines:\nstitch length error fails at all"
+        "no needle speed is in spec on any of the 4 machines:\nstitch length error fails"
     )
+    cells[0] = cell(-1.0, -1.0, None, "seam_error")
+    (panel,) = draw_mismatch(cells, "a title", NEEDLE).axes
+    assert panel.texts[0].get_text().endswith("\nseam error and stitch length error fail")
 
 
 def test_grid_lines_run_behind_bars() -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -247,6 +248,15 @@ def test_share_of_the_limits_is_searched_if_no_plan_at_full_limits_passes(
     assert header[1] == "limits used"
     assert rows[-1][1] == found.again["limits"]
     assert found.plan().duration_s == found.duration_s
+
+
+def test_a_search_without_a_plan_in_spec_names_what_the_nearest_fails() -> None:
+    nearest = SimpleNamespace(duration_s=None, found=SimpleNamespace(limited_by="contour_error"))
+    output = object.__new__(OptimalOutput)
+    output.of = SimpleNamespace(best=nearest, rungs=(nearest, nearest))
+    assert list(output._lines()) == [
+        "no plan is in spec (2 proved): the nearest fails contour_error"
+    ]
 
 
 @pytest.mark.long(shown_by="test_a_search_by_what_was_tried_comes_close_to_what_can_be_had")

@@ -144,10 +144,10 @@ def test_verdict_failing_in_one_run_ranks_behind_verdict_failing_over_twenty() -
     assert lines[1].startswith("11 of them pass in one run")
 
 
-def test_criterion_that_forbids_every_feed_fails_at_all() -> None:
+def test_criterion_that_forbids_every_feed_fails_at_every_one() -> None:
     found = find_fastest(lambda _: verdict(2.0), 0.1, 10.0, Grid(points=3))
     assert list(forbidden_words(found.forbidden, found.limited_by, str)) == [
-        "contour_error fails at all"
+        "contour_error fails at every one"
     ]
 
 

@@ -29,6 +29,7 @@ from threadline.verdict import (
     verdict_rows,
 )
 from threadline.verdict.rendering import shown
+from threadline.verdict.types import OverTolerances
 
 from .builders import follow, plan_through, record, spec_of, winder
 
@@ -204,7 +205,7 @@ def test_an_unknown_measure_is_named_with_the_nearest() -> None:
 
 
 def test_a_verdict_says_its_level_and_how_narrowly_it_passed() -> None:
-    """Shares are rounded up, so that 99.6 % does not read as less; hard limits show 100 %."""
+    """Shares are rounded up, so that 96.2 % does not read as less; hard limits show 100 %."""
 
     def of(name: str, measured: float, limit: float | None, *, hard: bool = False) -> Result:
         status = Status.PASSED if limit else Status.REPORTED
@@ -269,6 +270,30 @@ def test_more_than_ten_times_a_limit_is_told_as_that_and_no_more() -> None:
 
     assert closed(56.07) == ("OUT OF SPEC (nominal: 1 run; more than 1000 % of contour_error used)")
     assert closed(5e-3) == "OUT OF SPEC (nominal: 1 run; 1000 % of contour_error used)"
+
+
+@pytest.mark.parametrize(
+    ("share", "words"),
+    [
+        (0.981, "99 %"), (0.99, "99 %"), (0.9911, "99.2 %"), (0.9989, "99.9 %"),
+        (0.99999, "100.0 %"), (1.0, "100 %"), (1.0004, "101 %"),
+    ],
+)  # fmt: skip
+def test_a_result_just_within_its_limit_is_told_to_a_tenth_of_a_per_cent(
+    share: float, words: str
+) -> None:
+    """In whole per cent, rounded up, 99.2 % of a limit would read as all of it."""
+    status = Status.PASSED if share <= 1.0 else Status.FAILED
+    one = Result(name="a", axis="", measured=share, limit=1.0, unit="m", status=status)
+    word = "IN SPEC" if share <= 1.0 else "OUT OF SPEC"
+    assert closing(Verdict(results=(one,), simulated=True)) == (
+        f"{word} (nominal: 1 run; {words} of a used)"
+    )
+    worst = OverTolerances(
+        criterion="a", share=share, searched=9, drawn=0, passed=0, least=0.0, confidence=0.99
+    )
+    over = Verdict(results=(one,), simulated=True, tolerances=worst)
+    assert f"the worst of 9 machines searched uses {words} of a" in closing(over)
 
 
 def test_axes_that_never_move_have_no_rows_of_zeros() -> None:

@@ -81,7 +81,7 @@ class OptimalOutput(SearchOutput):
     def _lines(self) -> Iterator[str]:
         best, proved = self.of.best, len(self.of.rungs)
         if best.duration_s is None:
-            yield f"no plan is in spec ({proved} proved): {best.found.limited_by} fails at all"
+            yield f"no plan is in spec ({proved} proved): the nearest fails {best.found.limited_by}"
             return
         yield (
             f"fastest: {best.duration_s:.3f} s, limited by {limit_words(best.found.limited_by)}; "

@@ -103,7 +103,7 @@ def forbidden_words(
         Returns the text of a feed.
     """
     if len(forbidden) < 2:
-        yield f"{limited_by} fails at all"
+        yield f"{limited_by} fails at every one"
     else:
         span_texts = (
             f"{one.name}{' fails' if one is forbidden[0] else ''} {_span_words(one, feed_text)}"

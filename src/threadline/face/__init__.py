@@ -1,4 +1,4 @@
-"""The Python interface: one function for each question of the command line, and their answers.
+"""The Python interface: functions for most questions of the command line, and their answers.
 
 ``import threadline as tl`` provides all of them: ``tl.prove("x.prg", "lathe-winder").passed``. The
 options have the names and defaults of the command line: ``option_table`` declares them,

@@ -194,7 +194,8 @@ def _nothing(cells: Sequence[Mismatch], what: str) -> str:
     """Return the text of a figure without points: no machine is in spec, and which limits fail."""
     limits = dict.fromkeys(cell.limited_by.replace("_", " ") for cell in cells)
     failing = " and ".join(limits)
-    return f"no {what} is in spec on any of the {len(cells)} machines:\n{failing} fails at all"
+    fail = "fails" if len(limits) == 1 else "fail"
+    return f"no {what} is in spec on any of the {len(cells)} machines:\n{failing} {fail}"
 
 
 def write_mismatch(cells: Sequence[Mismatch], title: str, searched: Searched, folder: Path) -> Path:

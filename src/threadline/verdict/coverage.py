@@ -87,8 +87,8 @@ class Coverage:
         """Return the missing samples of the channels between two instants; None if there are none.
 
         A gap anywhere counts. So does one missing sample at the start or end, also in comparison
-        with a longer channel. If several channels lack samples, the lack that leaves least of the
-        run to judge is returned. Call it after the recording has been read to its end.
+        with a longer channel. If several channels lack samples, the result is the lack after which
+        the least of the run can be judged. Call it after the recording has been read to its end.
         """
         channels = list(channels)
         span = tuple(channel.name for channel in channels), begin_s, end_s

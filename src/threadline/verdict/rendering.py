@@ -25,6 +25,8 @@ from threadline.verdict.types import (
 )
 
 _TOLD_SHARE = 10.0  # largest share of a limit that is shown as a figure
+_NEARLY_ALL = 0.99  # above this share of a limit, and below all of it, a figure has a decimal
+_ROUNDING = 1e-11  # of a share
 HAPPENED = "What changed the motion"
 _IN_SECONDS = 10.0  # longer times are shown in s: in ms they would have an exponent
 _SHOWN = {
@@ -308,15 +310,20 @@ def _used(result: Result) -> str:
 def percent_used(share: float, digits: int = 0) -> str:
     """Return the used share of a limit, in per cent, rounded up.
 
-    A result never reads better than it is: 100 % is never more than the limit. Above ten times the
-    limit the exact figure is omitted: something else must be wrong then.
+    A result never reads better than it is: 100 % is never more than the limit. Between 99 and
+    100 % it has a decimal, so that a result within its limit does not read as one at its limit.
+    Above ten times the limit the exact figure is omitted: something else must be wrong then.
     >>> percent_used(0.9401), percent_used(1.0), percent_used(1.0004), percent_used(0.9401, 1)
     ('95 %', '100 %', '101 %', '94.1 %')
+    >>> percent_used(0.99), percent_used(0.9914), percent_used(0.9996)
+    ('99 %', '99.2 %', '100.0 %')
     >>> percent_used(10.0), percent_used(112137.9)
     ('1000 %', 'more than 1000 %')
     """
     if share > _TOLD_SHARE:
         return f"more than {100.0 * _TOLD_SHARE:.0f} %"
+    if _NEARLY_ALL + _ROUNDING < share < 1.0 - _ROUNDING:
+        digits = max(digits, 1)
     fine = 10.0**digits
     return f"{math.ceil(100.0 * share * fine - 1e-9) / fine:.{digits}f} %"
 

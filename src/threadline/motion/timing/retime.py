@@ -142,7 +142,7 @@ def retime(
     times are in seconds.
 
     The search cuts the path into elements until what finer ones would save is some thousandths of
-    the duration, and where it cuts hangs on the limits. So a higher limit of the velocity may take
+    the duration; the limits decide where it cuts. So a higher limit of the velocity may take
     longer than a lower one, but by less than 1 %. A limit that the axis cannot reach by its
     accelerations changes nothing.
 

@@ -152,7 +152,7 @@ class ModeTables:
                         f"the simulation met more than {len(self.kept)} combinations of limits, "
                         f"belts, play and friction; their tables take {size} bytes each, limit "
                         f"{_MOST_BYTES} in all",
-                        remedy="Leave out those that do not matter.",
+                        remedy="Leave out limits, belts, play or friction that hardly matter.",
                     )
                 table, plan = self.kept[mode] = self._filled(mode)
                 self.plans[mode] = plan.ctypes.data

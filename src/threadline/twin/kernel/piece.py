@@ -200,7 +200,7 @@ def prepared(
         raise MachineError(
             f"limits, belts, play and friction combine to {np.prod(plant.modes)} modes, "
             f"limit {_MOST_MODES}",
-            remedy="Leave out those that do not matter.",
+            remedy="Leave out limits, belts, play or friction that hardly matter.",
         )
     owners = [part.axis for part in loop_parts(machine, piece.group.controllers)]
     return Piece(
