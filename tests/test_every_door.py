@@ -259,6 +259,30 @@ def test_a_refusal_is_written_as_python_takes_it(stopped: Path) -> None:
         tl.prove(stopped / file, machine, long_stitches="x")
 
 
+@pytest.mark.parametrize(
+    ("verb", "word", "said"),
+    [
+        ("compare", "feed", "compare takes no feed. Did you mean feeds?"),
+        ("compare", "shaper", "compare takes no shaper. Did you mean shapers?"),
+        ("compare", "interpolaton", "Did you mean 'interpolations'?"),
+        ("fastest", "needle", "fastest takes no needle; prove, run, compare, yields, design, "),
+        ("yields", "level", "yields takes no level; prove, run, fastest, "),
+        ("design", "mode", "design takes no mode; prove, run, compare, yields, "),
+        ("prove", "margin", "prove takes no margin; fastest takes it. Leave it out."),
+        ("prove", "tolerances", 'prove takes no tolerances. Did you mean level="over tolerances"?'),
+        ("compile", "nominal", "unknown option 'nominal'. "),
+    ],
+)
+def test_an_argument_of_other_functions_is_refused_by_its_name(
+    stopped: Path, verb: str, word: str, said: str
+) -> None:
+    """As on the command line, and not by the nearest word, which has another meaning."""
+    more = ["csv", stopped / "out"] if verb == "compile" else []
+    with pytest.raises(OptionError) as refused:
+        getattr(tl, verb)(stopped / "a.prg", "lathe-winder", *more, **{word: "x"})
+    assert said in str(refused.value)
+
+
 @pytest.mark.parametrize("verb", ["compare", "fastest"])
 def test_a_nonsense_dialect_is_refused_by_every_function(stopped: Path, verb: str) -> None:
     job, machine = stopped / "a.gcode", "stepper-winder"

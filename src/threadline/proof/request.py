@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 from functools import wraps
 from itertools import product
 from pathlib import Path
-from typing import Any, ParamSpec, TypeVar, cast
+from typing import Any, NoReturn, ParamSpec, TypeVar, cast
 
 from threadline.base.arguments import check_argument
 from threadline.base.option_defaults import MOST_REPEATS, UNSHAPED_WORD, USUAL
@@ -29,8 +29,10 @@ from threadline.proof.kinds import kind_of
 from threadline.proof.option_form import Door, Group, Option, Type, Word
 from threadline.proof.option_table import (
     PYTHON_VERBS,
+    TABLE,
     list_argument,
     options_for,
+    python_name,
     verb_of,
 )
 from threadline.proof.option_words import parse_band, parse_ends, parse_yield
@@ -266,11 +268,42 @@ def known_words(verb: str, door: Door, words: Mapping[str, Word]) -> dict[str, W
     taken = {one.word: one for one in options_for(verb, door)}
     for word, value in words.items():
         if word not in taken:
+            if door is Door.PYTHON:
+                _refuse_argument(verb, word)
             raise OptionError(f"unknown option {word!r}", remedy=nearest(word, tuple(taken)))
         choices = taken[word].choices
         if choices and value not in choices:
             raise OptionError(f"unknown {word} {value!r}", remedy=nearest(str(value), choices))
     return {word: words.get(word, one.default_of(verb)) for word, one in taken.items()}
+
+
+def _refuse_argument(verb: str, word: str) -> NoReturn:
+    """Refuse an argument that the Python function of a verb does not take.
+
+    Raises
+    ------
+    OptionError
+        Names the right argument, the functions that take this one, or the most similar arguments.
+    """
+    lists = {one.word: name for one in TABLE if (name := list_argument(one, verb))}
+    taken = [one.word for one in options_for(verb, Door.PYTHON)]
+    instead = lists.get(word)
+    if instead is None and "level" in taken and word in LEVEL_FLAGS:
+        instead = LEVEL_FLAGS[word]
+    if instead is not None:
+        raise OptionError(f"{python_name(verb)} takes no {word}", remedy=f"Did you mean {instead}?")
+    others = [
+        python_name(other)
+        for other in PYTHON_VERBS
+        if word in {one.word for one in options_for(other, Door.PYTHON)}
+    ]
+    if others:
+        raise OptionError(
+            f"{python_name(verb)} takes no {word}; {', '.join(others)} take"
+            f"{'s' if len(others) == 1 else ''} it",
+            remedy="Leave it out.",
+        )
+    raise OptionError(f"unknown option {word!r}", remedy=nearest(word, [*lists.values(), *taken]))
 
 
 _OF_OPTIMAL = ("contour", "outside", "reserve", "narrow")
