@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import inspect
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from fractions import Fraction
@@ -169,6 +170,10 @@ def by_python(verb: str, folder: Path, work: str, words: dict[str, Any]) -> tupl
         lists = {"interpolation": "interpolations", "feed": "feeds", "shaper": "shapers"}
         given = {lists.get(word, word): [value] if word in lists else value
                  for word, value in given.items()}  # fmt: skip
+        found = outcome(lambda: tl.compare(job, machine, **given))
+        # Its refusals name the lists that it takes, and the other verbs' one value.
+        return re.sub(r"\b(interpolation|feed|shaper)s=(?:\[([^]]*)\])?", r"\1=\2", found) if (
+            isinstance(found, str)) else found  # fmt: skip
     if verb == "judge":
         return outcome(lambda: tl.judge(folder / "trace.csv", job=job, machine=machine, **given))
     target = {"switches": "st", "steps": "steps"}.get(work, "csv")
@@ -223,6 +228,59 @@ def test_an_option_changes_what_is_read(stopped: Path) -> None:
         assert by_python("prove", stopped, "ticks", {name: GIVEN[name]}) != plain
     sewn = by_python("prove", stopped, "seam", {})
     assert by_python("prove", stopped, "seam", {"needle": "20 stitch/s"})[1] != sewn[1]
+
+
+@pytest.mark.parametrize("verb", ["prove", "compare", "fastest"])
+@pytest.mark.parametrize(
+    ("work", "option", "value"),
+    [("steps", "radius", "A=1 mm"), ("switches", "product", str(EXAMPLES / "vessel.wind.toml"))],
+)
+def test_a_refusal_names_the_option_and_offers_no_other(
+    stopped: Path, verb: str, work: str, option: str, value: str
+) -> None:
+    """The machine has no use for the option; another may be of no use for the verb."""
+    for ask in (by_line, by_python):
+        refused = ask(verb, stopped, work, {option: value})
+        assert isinstance(refused, str)
+        assert f"{WORK[work][1]} takes no {option}=, because it" in refused
+        assert refused.endswith(" to choose. Leave it out.")
+
+
+def test_a_refusal_is_written_as_python_takes_it(stopped: Path) -> None:
+    file, machine = WORK["steps"]
+    with pytest.raises(OptionError, match=r'interpolations=\["law:cycloidal"\]\.$') as refused:
+        tl.compare(stopped / file, machine, ["linear"])
+    assert "takes no interpolations=, because" in str(refused.value)
+    with pytest.raises(OptionError, match=r'feeds=\["120 stitch/min"\]\.$'):
+        tl.compare(stopped / file, machine, feeds=["10 mm/s"])
+    with pytest.raises(OptionError, match=r'give interpolation="optimal"\.$'):
+        tl.prove(stopped / "a.prg", "lathe-winder", contour="1 mm")
+    with pytest.raises(OptionError, match="long_stitches='x' is not known"):
+        tl.prove(stopped / file, machine, long_stitches="x")
+
+
+@pytest.mark.parametrize(
+    ("verb", "word", "said"),
+    [
+        ("compare", "feed", "compare takes no feed. Did you mean feeds?"),
+        ("compare", "shaper", "compare takes no shaper. Did you mean shapers?"),
+        ("compare", "interpolaton", "Did you mean 'interpolations'?"),
+        ("fastest", "needle", "fastest takes no needle; prove, run, compare, yields, design, "),
+        ("yields", "level", "yields takes no level; prove, run, fastest, "),
+        ("design", "mode", "design takes no mode; prove, run, compare, yields, "),
+        ("prove", "margin", "prove takes no margin; fastest takes it. Leave it out."),
+        ("prove", "tolerances", 'prove takes no tolerances. Did you mean level="over tolerances"?'),
+        ("compile", "nominal", "unknown option 'nominal'. "),
+    ],
+)
+def test_an_argument_of_other_functions_is_refused_by_its_name(
+    stopped: Path, verb: str, word: str, said: str
+) -> None:
+    """As on the command line, and not by the nearest word, which has another meaning."""
+    more = ["csv", stopped / "out"] if verb == "compile" else []
+    with pytest.raises(OptionError) as refused:
+        getattr(tl, verb)(stopped / "a.prg", "lathe-winder", *more, **{word: "x"})
+    assert said in str(refused.value)
 
 
 @pytest.mark.parametrize("verb", ["compare", "fastest"])

@@ -232,16 +232,35 @@ def test_errors_are_text_on_stderr_with_json_too(capsys: pytest.CaptureFixture[s
 
 @pytest.mark.parametrize(
     ("words", "offers"),
-    [("threadline ver", "verify"), ("threadline prove --interp", "--interpolation")],
+    [
+        ("threadline ver", "verify"),
+        ("threadline prove --interp", "--interpolation"),
+        ("threadline prove x -m la", "lathe-winder"),
+        ("threadline prove x --machine lathe-winder+phy", "lathe-winder+physical"),
+        ("threadline prove x -m no-such+", ""),
+        ("threadline prove x --actual step", "stepper-winder"),
+        ("threadline analyse la", "lathe-winder"),
+        ("threadline judge x -m la", "lathe-winder"),
+        ("threadline prove x --interpolation b-spline-", "b-spline-pulled"),
+        ("threadline compare x --interpolation linear,qu", "linear,quintic"),
+        ("threadline prove x --law modified-s", "modified-sine"),
+        ("threadline prove x --dialect reprap", "reprapfirmware reprapfirmware-cnc"),
+        ("threadline prove x --dialect grbl,k", ""),
+        ("threadline prove x --feed-mode rs", "rs274"),
+        ("threadline prove x --long-stitches sp", "split"),
+        ("threadline compile x --target open", "openplc"),
+        ("threadline equal x --targets csv,t1", "csv,t15"),
+        ("threadline tune x --controller pi", "pi pid"),
+    ],
 )
-def test_the_tab_key_completes_commands_and_options(words: str, offers: str) -> None:
+def test_the_tab_key_completes_commands_options_and_values(words: str, offers: str) -> None:
     asked = {
         "_THREADLINE_COMPLETE": "complete_bash",
         "COMP_WORDS": words,
         "COMP_CWORD": str(words.count(" ")),
     }
     output = CliRunner().invoke(app, [], prog_name="threadline", env=asked)
-    assert output.stdout.split() == [offers]
+    assert output.stdout.split() == offers.split()
 
 
 def test_a_shell_without_completion_is_wrong_input(

@@ -276,7 +276,7 @@ def test_a_criterion_of_one_step_replaces_that_of_all(shaped: Proof, tmp_path: P
 
 def test_options_that_a_schedule_does_not_have_are_refused(cycle: Path) -> None:
     machine = load_machine(TRIMMED)
-    with pytest.raises(OptionError, match=r"--interpolation: .* switches cylinders on and off"):
+    with pytest.raises(OptionError, match="takes no --interpolation, because it switches"):
         plan_job(read_job(cycle, machine), machine, Options(interpolation="cubic"))
     code, _ = run("prove", str(cycle), "-m", TRIMMED, "--shaper", "zw")
     assert code == 2

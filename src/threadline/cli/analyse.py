@@ -8,6 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
+from threadline.cli import completion
 from threadline.cli.arguments import JsonOption, ReportOption
 from threadline.cli.messages import warning
 from threadline.cli.output import print_json, print_table, say
@@ -29,7 +30,11 @@ _LEAD_EXAMPLE = 'Write it like --lead "13.5 Hz, 65 deg".'
 
 def analyse(
     machine: Annotated[
-        str, typer.Argument(help="Machine file (.toml) or library name, overlays after a plus.")
+        str,
+        typer.Argument(
+            autocompletion=completion.machines,
+            help="Machine file (.toml) or library name, overlays after a plus.",
+        ),
     ],
     axis: Annotated[str | None, typer.Option(help="Only this axis.")] = None,
     data: Annotated[

@@ -11,6 +11,7 @@ from typing import Annotated
 
 import typer
 
+from threadline.cli import completion
 from threadline.errors import OptionError
 from threadline.proof.option_form import Group
 
@@ -39,6 +40,7 @@ MachineOption = Annotated[
     typer.Option(
         "--machine",
         "-m",
+        autocompletion=completion.machines,
         help="Machine file (.toml) or library name (threadline machines lists them), "
         "overlays after a plus: lathe-winder+physical.",
         rich_help_panel=Group.INPUT.value,
@@ -49,6 +51,7 @@ ThisMachineOption = Annotated[
     typer.Option(
         "--machine",
         "-m",
+        autocompletion=completion.machines,
         help="Machine file (.toml) or library name (threadline machines lists them), overlays "
         "after a plus: lathe-winder+physical. Not with --merge.",
         rich_help_panel=Group.INPUT.value,

@@ -9,7 +9,7 @@ import typer
 
 from threadline.base.progress import WRITING
 from threadline.base.writing import is_stdout, together
-from threadline.cli import option_parameters
+from threadline.cli import completion, option_parameters
 from threadline.cli.arguments import JobArgument, JsonOption, MachineOption, keep_inputs
 from threadline.cli.messages import PLANNING_STAGE, WRITING_STAGE, note
 from threadline.cli.output import check_outputs, print_json, progress_bar, say, warn
@@ -28,9 +28,10 @@ def compile_(
     target: Annotated[
         str,
         typer.Option(
+            autocompletion=completion.targets,
             help="ticks, csv, npz, nc, grbl, fluidnc, marlin, klipper, reprapfirmware, linuxcnc, "
             "fanuc; on an on/off machine st, openplc, plcopen, scl; on an embroidery machine "
-            "steps, t15, dst, u01."
+            "steps, t15, dst, u01.",
         ),
     ],
     out: Annotated[Path, typer.Option("--out", "--output", "-o", help="File to write.")],

@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from threadline.cli import completion
 from threadline.cli.arguments import JsonOption
 from threadline.cli.output import check_outputs, print_json, print_table, say
 from threadline.dynamics.state_designs import DESIGNS
@@ -17,7 +18,11 @@ from threadline.search.controller_design import ControlDesign, Wanted, design_co
 
 def control(
     machine: Annotated[
-        str, typer.Argument(help="Machine file (.toml) or library name, overlays after a plus.")
+        str,
+        typer.Argument(
+            autocompletion=completion.machines,
+            help="Machine file (.toml) or library name, overlays after a plus.",
+        ),
     ],
     design: Annotated[str, typer.Option(help=f"One of {', '.join(DESIGNS)}.")],
     output: Annotated[

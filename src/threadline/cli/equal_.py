@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from threadline.cli import option_parameters
+from threadline.cli import completion, option_parameters
 from threadline.cli.arguments import JobArgument, JsonOption, MachineOption, ReportOption
 from threadline.cli.messages import PLANNING_STAGE, warning
 from threadline.cli.output import check_outputs, print_json, print_table, progress_bar, say
@@ -26,8 +26,9 @@ def equal_(
     targets: Annotated[
         str | None,
         typer.Option(
+            autocompletion=completion.each_target,
             help="Targets, separated by commas: csv,npz,ticks,nc,steps,st,grbl,marlin,klipper. "
-            "Default: the targets of --file, else all of the kind of machine."
+            "Default: the targets of --file, else all of the kind of machine.",
         ),
     ] = None,
     file: Annotated[

@@ -8,6 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from threadline.base.writing import check_machine_output
+from threadline.cli import completion
 from threadline.cli.arguments import JsonOption, keep_inputs
 from threadline.cli.output import check_outputs, print_json, print_table, say
 from threadline.errors import OptionError
@@ -28,7 +29,10 @@ def fit_numbers(
     machine: Annotated[
         str,
         typer.Option(
-            "--machine", "-m", help="Machine file (.toml) or library name: first guesses."
+            "--machine",
+            "-m",
+            autocompletion=completion.machines,
+            help="Machine file (.toml) or library name: first guesses.",
         ),
     ],
     numbers: Annotated[

@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from threadline.cli import completion
 from threadline.cli.arguments import JsonOption, named_folder
 from threadline.cli.output import check_outputs, print_json, say
 from threadline.machine import load_machine
@@ -14,7 +15,12 @@ from threadline.report.guide import guide_of, write_guide
 
 
 def guide(
-    machine: Annotated[str, typer.Argument(help="Machine file (TOML) or name of the library.")],
+    machine: Annotated[
+        str,
+        typer.Argument(
+            autocompletion=completion.machines, help="Machine file (TOML) or name of the library."
+        ),
+    ],
     out: Annotated[
         Path,
         typer.Option(

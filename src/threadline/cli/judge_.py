@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from threadline.cli import option_parameters
+from threadline.cli import completion, option_parameters
 from threadline.cli.arguments import JsonOption
 from threadline.cli.output import print_json, print_table, say
 from threadline.cli.prove import show_steps
@@ -28,7 +28,10 @@ def judge(
     machine: Annotated[
         str | None,
         typer.Option(
-            "--machine", "-m", help="The machine; default: the machine that the recording names."
+            "--machine",
+            "-m",
+            autocompletion=completion.machines,
+            help="The machine; default: the machine that the recording names.",
         ),
     ] = None,
     json: JsonOption = False,

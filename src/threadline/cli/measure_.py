@@ -7,6 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
+from threadline.cli import completion
 from threadline.cli.arguments import JsonOption, keep_inputs
 from threadline.cli.output import check_outputs, print_json, print_table, say
 from threadline.errors import LinkFaultError
@@ -29,7 +30,11 @@ from threadline.units import parse_quantity
 
 def measure_axis(
     machine: Annotated[
-        str, typer.Argument(help="Machine file (.toml) or library name, overlays after a plus.")
+        str,
+        typer.Argument(
+            autocompletion=completion.machines,
+            help="Machine file (.toml) or library name, overlays after a plus.",
+        ),
     ],
     axis: Annotated[str, typer.Option(help="The axis that moves.")],
     output: Annotated[

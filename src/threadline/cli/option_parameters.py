@@ -16,6 +16,7 @@ from typing import Annotated, Any, get_type_hints
 import typer
 from typer.core import TyperCommand
 
+from threadline.cli import completion
 from threadline.cli.messages import note
 from threadline.proof.option_form import Group, Option, Type
 from threadline.proof.option_table import options_for
@@ -110,6 +111,7 @@ def _parameter(one: Option, verb: str) -> inspect.Parameter:
         help=one.help_of(verb),
         min=one.least,
         max=one.most,
+        autocompletion=_completed(one, verb),
         rich_help_panel=one.group.value,
     )
     return inspect.Parameter(
@@ -118,6 +120,16 @@ def _parameter(one: Option, verb: str) -> inspect.Parameter:
         default=default,
         annotation=Annotated[kind, parameter],
     )
+
+
+def _completed(one: Option, verb: str) -> Callable[[str], list[str]] | None:
+    """Return the function that completes the value of an option; None if it has no known values."""
+    if one.type is Type.MACHINE:
+        return completion.machines
+    if one.values is None:
+        return None
+    complete = completion.one_of(one.values)
+    return completion.last_of(complete) if verb in one.many else complete
 
 
 def _field(one: Field[Any], annotation: Any) -> inspect.Parameter:

@@ -10,6 +10,7 @@ import typer
 
 from threadline.base.wording import toml_string
 from threadline.base.writing import check_machine_output
+from threadline.cli import completion
 from threadline.cli.arguments import JsonOption, SpecOption, keep_inputs
 from threadline.cli.output import check_outputs, print_json, print_table, progress_bar, say
 from threadline.errors import OptionError
@@ -34,7 +35,11 @@ from threadline.verdict.spec import load_spec
 
 def tune_loops(
     machine: Annotated[
-        str, typer.Argument(help="Machine file (.toml) or library name, overlays after a plus.")
+        str,
+        typer.Argument(
+            autocompletion=completion.machines,
+            help="Machine file (.toml) or library name, overlays after a plus.",
+        ),
     ],
     axis: Annotated[str | None, typer.Option(help="Only this axis.")] = None,
     margin: Annotated[
@@ -62,10 +67,17 @@ def tune_loops(
     ] = None,
     controller: Annotated[
         str | None,
-        typer.Option(help="With -o: p, pi, pd, pid or lead. Default: the machine's own kind."),
+        typer.Option(
+            autocompletion=completion.one_of(lambda: ("p", "pi", "pd", "pid", "lead")),
+            help="With -o: p, pi, pd, pid or lead. Default: the machine's own kind.",
+        ),
     ] = None,
     rule: Annotated[
-        str | None, typer.Option(help=f"With -o: {', '.join(RULES)}. Default: margin.")
+        str | None,
+        typer.Option(
+            autocompletion=completion.one_of(lambda: RULES),
+            help=f"With -o: {', '.join(RULES)}. Default: margin.",
+        ),
     ] = None,
     amplifiers: Annotated[
         bool,
@@ -81,7 +93,10 @@ def tune_loops(
     link: Annotated[str, typer.Option(help=f"With --trim: {', '.join(LINKS)}.")] = "sim",
     actual: Annotated[
         str | None,
-        typer.Option(help="With --trim over sim: machine that is simulated in place of MACHINE."),
+        typer.Option(
+            autocompletion=completion.machines,
+            help="With --trim over sim: machine that is simulated in place of MACHINE.",
+        ),
     ] = None,
     json: JsonOption = False,
 ) -> None:

@@ -9,6 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from threadline.base.writing import staged_file, together
+from threadline.cli import completion
 from threadline.cli.arguments import JsonOption, keep_inputs
 from threadline.cli.messages import warning
 from threadline.cli.output import check_outputs, print_json, print_table, say
@@ -69,7 +70,9 @@ def wind(
     ] = None,
     machine: Annotated[
         str | None,
-        typer.Option("--machine", "-m", help="Machine of --out."),
+        typer.Option(
+            "--machine", "-m", autocompletion=completion.machines, help="Machine of --out."
+        ),
     ] = None,
     dialect: Annotated[
         str | None,

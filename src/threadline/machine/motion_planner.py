@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
-from typing import Annotated, Literal
+from typing import Annotated, Literal, get_args
 
 from pydantic import Field, StrictBool, model_validator
 from pydantic.dataclasses import dataclass
@@ -236,11 +236,15 @@ FeedRule = Literal[
     "marlin", "fanuc",
 ]  # fmt: skip
 """Rules for the meaning of an F word; ``threadline.jobs.gcode.feeds`` defines each."""
+FEED_RULES: tuple[str, ...] = get_args(FeedRule)
+"""Their names."""
 DialectName = Literal[
     "winder", "linuxcnc", "grbl", "fluidnc", "marlin", "klipper", "reprapfirmware",
     "reprapfirmware-cnc", "fanuc", "x-winder",
 ]  # fmt: skip
 """Dialects of part programs; ``threadline.jobs.gcode.dialects`` defines each."""
+DIALECT_NAMES: tuple[str, ...] = get_args(DialectName)
+"""Their names, X-Winder's included."""
 
 System = Annotated[str, Field(pattern=r"^G5[4-9]$")]
 Offset = Annotated[Quantity, Units(("m", "rad"))]

@@ -105,6 +105,8 @@ class Option:
         Smallest and largest value of a whole number.
     choices
         The permitted texts, if there are only a few.
+    values
+        Returns the usual texts of an option whose values are names; None for other values.
     many
         The verbs for which the option takes several values, separated by commas.
     label, placeholder
@@ -131,6 +133,7 @@ class Option:
     least: int | None = None
     most: int | None = None
     choices: tuple[str, ...] = ()
+    values: Callable[[], tuple[str, ...]] | None = None
     many: tuple[str, ...] = ()
     label: str = ""
     placeholder: str = ""

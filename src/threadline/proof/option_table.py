@@ -24,9 +24,12 @@ from threadline.base.option_defaults import (
 )
 from threadline.commands.learned import MOST_TEXT as MOST_TABLE_TEXT
 from threadline.commands.learned import table_text
+from threadline.machine.motion_planner import DIALECT_NAMES, FEED_RULES
 from threadline.machine.radii import written_out
+from threadline.motion.path.interpolations import INTERPOLATIONS
 from threadline.proof.option_form import STEPS, SWITCHES, TICKS, Door, FileForm, Group, Option, Type
 from threadline.proof.option_words import (
+    LONG_STITCHES,
     feed_words,
     narrow_words,
     parse_contour_m,
@@ -57,6 +60,7 @@ PYTHON_VERBS = (
 )  # fmt: skip
 """The verbs of ``import threadline as tl``."""
 _PYTHON_NAMES = {"yield": "yields"}
+_OF_LISTS = "compare"  # its Python function takes several values as a list, named in the plural
 PROGRAMMED = "programmed"
 """Text that a recording has as its feed if the plan keeps the feeds of the job."""
 MOST_PROFILE = 20_000
@@ -70,6 +74,12 @@ def _same(value: Any) -> str | None:
 def _exact(unit: str) -> Callable[[Any], str | None]:
     """Return a function that writes a number with its unit, exact to the last bit."""
     return lambda value: None if value is None else f"{value!r} {unit}"
+
+
+def _laws() -> tuple[str, ...]:
+    from threadline.motion.laws.catalogue import LAWS  # few proofs use a law
+
+    return tuple(LAWS)
 
 
 _PROVING = ("prove", "run", "compare", "fastest", "design")
@@ -112,6 +122,7 @@ TABLE: tuple[Option, ...] = (
     ),
     Option(
         name="interpolation", many=("compare",), group=Group.PLAN, verbs=PLANNERS, kinds=(TICKS,),
+        values=lambda: INTERPOLATIONS,
         help="auto, optimal, firmware, point-to-point, linear, parabolic, cubic, quintic, "
         "b-spline, b-spline-pulled, law:NAME. Default: firmware if the machine file names a motion "
         "planner, else auto; compile, which writes another program, has auto.",
@@ -124,6 +135,7 @@ TABLE: tuple[Option, ...] = (
     Option(
         name="law", group=Group.PLAN, kinds=(TICKS, STEPS),
         verbs=tuple(verb for verb in PLANNERS if verb != "compare"),
+        values=_laws,
         help="Make every move from rest to rest follow this motion law: modified-sine, harmonic:7, "
         "frame.csv (threadline law lists them).",
         label="Law", placeholder="default",
@@ -147,14 +159,15 @@ TABLE: tuple[Option, ...] = (
     ),
     Option(
         name="dialect", group=Group.PLAN, verbs=PLANNERS, kinds=(TICKS,),
-        help="Dialect of a part program: winder, linuxcnc, grbl, fluidnc, marlin, klipper, "
-        "reprapfirmware, reprapfirmware-cnc, fanuc, x-winder. Default: the machine file's.",
+        values=lambda: DIALECT_NAMES,
+        help=f"Dialect of a part program: {', '.join(DIALECT_NAMES)}. Default: the machine file's.",
         attribute="dialect", parse=str,
         recorded=FileForm(key="dialect", write=_same, read=str),
         label="Dialect", placeholder="the machine's",
     ),
     Option(
         name="feed-mode", group=Group.PLAN, verbs=PLANNERS, kinds=(TICKS,),
+        values=lambda: tuple(name for name in FEED_RULES if name != "base-axes"),  # needs axes
         help="Rule by which F of a part program is a speed: cadfil, fanuc, fluidnc, grbl, "
         "linuxcnc, marlin, rs274, fastest-axis, path, or base-axes:A and base-axes:A,X, CADFIL's "
         "modes 1 and 2. Default: the machine file's.",
@@ -208,6 +221,7 @@ TABLE: tuple[Option, ...] = (
     Option(
         name="long-stitches", group=Group.PLAN, kinds=(STEPS,),
         verbs=tuple(verb for verb in PLANNERS if verb != "panel"),
+        values=lambda: LONG_STITCHES,
         help="How stitches of a design that are longer than the machine's longest move are sewn: "
         "travel (needle up; the default), split (the needle enters on the way) or refuse. Jumps "
         "before such a stitch change nothing.",
@@ -488,6 +502,15 @@ def python_name(verb: str) -> str:
     ('yields', 'prove')
     """
     return _PYTHON_NAMES.get(verb, verb)
+
+
+def list_argument(one: Option, verb: str) -> str | None:
+    """Return the argument for several values of an option in a verb's Python function, or None.
+
+    >>> list_argument(option("feed"), "compare"), list_argument(option("feed"), "prove")
+    ('feeds', None)
+    """
+    return f"{one.word}s" if verb == _OF_LISTS and verb in one.many else None
 
 
 def verb_of(name: str) -> str:

@@ -261,7 +261,7 @@ def parse_long_stitches(text: str) -> str:
     """
     if text not in LONG_STITCHES:
         raise OptionError(
-            f"long-stitches {text!r} is not known", remedy=f"Known: {', '.join(LONG_STITCHES)}."
+            f"--long-stitches {text!r} is not known", remedy=f"Known: {', '.join(LONG_STITCHES)}."
         )
     return text
 

@@ -36,6 +36,8 @@ from threadline.proof.option_words import (
 )
 
 _OF_SWITCHES = planned_by("switches")
+LEAVE_OUT = ("Leave it out.", "Leave them out.")
+"""Remedy against one option, and against several."""
 OF_AXES = tuple(known.key for one, known in RECORDED if one.name not in _OF_SWITCHES)
 """Keys of ``describe`` that have a meaning only for machines with axes."""
 
@@ -406,9 +408,9 @@ def refuse_axis_options(machine: Machine, options: Options) -> None:
     """
     if names := foreign_options("switches", machine, options):
         raise OptionError(
-            f"{', '.join(names)}: {machine.name} switches cylinders on and off, without a path, a "
-            "feed or a law to choose",
-            remedy="Leave it out; --shaper may be given.",
+            f"{machine.name} takes no {' or '.join(names)}, because it switches cylinders on and "
+            "off, without a path, a feed or a law to choose",
+            remedy=LEAVE_OUT[len(names) > 1],
         )
 
 

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 from functools import wraps
 from itertools import product
 from pathlib import Path
-from typing import Any, ParamSpec, TypeVar, cast
+from typing import Any, NoReturn, ParamSpec, TypeVar, cast
 
 from threadline.base.arguments import check_argument
 from threadline.base.option_defaults import MOST_REPEATS, UNSHAPED_WORD, USUAL
@@ -27,7 +27,14 @@ from threadline.machine.radii import with_radii
 from threadline.motion.path.interpolations import OPTIMAL
 from threadline.proof.kinds import kind_of
 from threadline.proof.option_form import Door, Group, Option, Type, Word
-from threadline.proof.option_table import PYTHON_VERBS, options_for, verb_of
+from threadline.proof.option_table import (
+    PYTHON_VERBS,
+    TABLE,
+    list_argument,
+    options_for,
+    python_name,
+    verb_of,
+)
 from threadline.proof.option_words import parse_band, parse_ends, parse_yield
 from threadline.proof.options import Options, options_of
 from threadline.proof.pipeline import NOMINAL, REPEATED, TOLERANCES, Trials, target_of, yielding
@@ -261,11 +268,42 @@ def known_words(verb: str, door: Door, words: Mapping[str, Word]) -> dict[str, W
     taken = {one.word: one for one in options_for(verb, door)}
     for word, value in words.items():
         if word not in taken:
+            if door is Door.PYTHON:
+                _refuse_argument(verb, word)
             raise OptionError(f"unknown option {word!r}", remedy=nearest(word, tuple(taken)))
         choices = taken[word].choices
         if choices and value not in choices:
             raise OptionError(f"unknown {word} {value!r}", remedy=nearest(str(value), choices))
     return {word: words.get(word, one.default_of(verb)) for word, one in taken.items()}
+
+
+def _refuse_argument(verb: str, word: str) -> NoReturn:
+    """Refuse an argument that the Python function of a verb does not take.
+
+    Raises
+    ------
+    OptionError
+        Names the right argument, the functions that take this one, or the most similar arguments.
+    """
+    lists = {one.word: name for one in TABLE if (name := list_argument(one, verb))}
+    taken = [one.word for one in options_for(verb, Door.PYTHON)]
+    instead = lists.get(word)
+    if instead is None and "level" in taken and word in LEVEL_FLAGS:
+        instead = LEVEL_FLAGS[word]
+    if instead is not None:
+        raise OptionError(f"{python_name(verb)} takes no {word}", remedy=f"Did you mean {instead}?")
+    others = [
+        python_name(other)
+        for other in PYTHON_VERBS
+        if word in {one.word for one in options_for(other, Door.PYTHON)}
+    ]
+    if others:
+        raise OptionError(
+            f"{python_name(verb)} takes no {word}; {', '.join(others)} take"
+            f"{'s' if len(others) == 1 else ''} it",
+            remedy="Leave it out.",
+        )
+    raise OptionError(f"unknown option {word!r}", remedy=nearest(word, [*lists.values(), *taken]))
 
 
 _OF_OPTIMAL = ("contour", "outside", "reserve", "narrow")
@@ -395,9 +433,13 @@ def python_type(one: Option, verb: str) -> str:
     return plain if one.default_of(verb) is not None else f"{plain} | None"
 
 
-_TYPED_OPTION = re.compile(r"""(?<![\w-])--([a-z][a-z-]*)(?:[ =]?("[^"]*"|'[^']*'))?""")
+_TYPED_OPTION = re.compile(
+    r"""(?<![\w-])--([a-z][a-z-]*)(?:[ =]?("[^"]*"|'[^']*')|[ ]([a-z0-9]+(?:-[a-z0-9]+)*))?"""
+)
+LEVEL_FLAGS = {"nominal": 'level="nominal"', "tolerances": 'level="over tolerances"'}
+"""Flags of the command line, as Python writes them."""
 _OTHER_ARGUMENTS = {
-    "nominal": 'level="nominal"', "tolerances": 'level="over tolerances"', "slower": "slower=True",
+    **LEVEL_FLAGS, "slower": "slower=True",
     "target": "target=", "out": "out=", "job": "job=", "machine": "machine=", "sign": "sign=",
     "gain": "gain=", "sensors": "sensors=", "ahead": "ahead=", "direction": "direction=",
     "coupling": "coupling=", "controller": "controller=", "rule": "rule=", "axis": "axis=",
@@ -407,21 +449,32 @@ _OTHER_ARGUMENTS = {
 }  # fmt: skip
 
 
-def as_arguments(text: str) -> str:
+def as_arguments(text: str, verb: str = "") -> str:
     """Return a message in which command-line options are replaced by Python arguments.
+
+    With a ``verb`` the options are named as its Python function names them.
 
     >>> as_arguments('--low "1 m/s" is above --high. Leave --feed-forward out.')
     'low="1 m/s" is above high=. Leave feed_forward=True out.'
+    >>> as_arguments("Give --interpolation optimal."), as_arguments('Leave --feed out.', "compare")
+    ('Give interpolation="optimal".', 'Leave feeds= out.')
     """
     words = {one.name: one for verb in PYTHON_VERBS for one in options_for(verb, Door.PYTHON)}
 
     def spoken(match: re.Match[str]) -> str:
-        entry, value = words.get(match[1]), match[2]
+        entry, value, bare = words.get(match[1]), match[2], match[3]
+        rest = "" if bare is None else f" {bare}"
         if entry is None:
-            return _OTHER_ARGUMENTS.get(match[1], match[0])
+            if match[1] in _OTHER_ARGUMENTS:
+                return _OTHER_ARGUMENTS[match[1]] + rest
+            return match[0]
         if entry.type is Type.FLAG:
-            return f"{entry.word}=True"
-        return f"{entry.word}={value or ''}"
+            return f"{entry.word}=True{rest}"
+        if entry.values is not None and bare in entry.values():
+            value, rest = f'"{bare}"', ""
+        if name := list_argument(entry, verb):
+            return f"{name}={f'[{value}]' if value else ''}{rest}"
+        return f"{entry.word}={value or ''}{rest}"
 
     return _TYPED_OPTION.sub(spoken, text).replace("(-m)", "(machine=)").replace(" -s,", " spec=,")
 
@@ -445,13 +498,15 @@ _PYTHON: Mapping[Type, tuple[str, Any]] = {
 
 def in_arguments(function: Callable[P, T]) -> Callable[P, T]:
     """Return the function with errors that name Python arguments instead of options."""
+    verb_name = verb_of(function.__name__)
 
     @wraps(function)
     def verb(*positional: P.args, **named: P.kwargs) -> T:
         try:
             return function(*positional, **named)
         except ThreadlineError as error:
-            error.message, error.remedy = as_arguments(error.message), as_arguments(error.remedy)
+            error.message = as_arguments(error.message, verb_name)
+            error.remedy = as_arguments(error.remedy, verb_name)
             error.args = (error.message, *error.args[1:])
             raise
 

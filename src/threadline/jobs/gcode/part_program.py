@@ -40,6 +40,7 @@ from threadline.jobs.operations import (
     ToolEvent,
 )
 from threadline.machine import Machine
+from threadline.machine.motion_planner import DIALECT_NAMES
 
 if TYPE_CHECKING:
     from threadline.jobs.gcode.parametric.program import ParametricProgram
@@ -393,7 +394,7 @@ def _dialect(machine: Machine, option: str | None) -> Dialect:
     if name not in DIALECTS:
         raise OptionError(
             f"there is no dialect {name[:40]!r} of part programs",
-            remedy=f"Choose {', '.join(DIALECTS)}.",
+            remedy=f"Choose {', '.join(DIALECT_NAMES)}.",
         )
     return DIALECTS[name]
 

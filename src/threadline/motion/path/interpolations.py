@@ -379,3 +379,5 @@ _PLANNERS: dict[str, Planner] = {
     "b-spline": _bspline,
     "b-spline-pulled": _pulled,
 }
+INTERPOLATIONS = tuple(_PLANNERS)
+"""Names of the interpolations, without those by a motion law."""

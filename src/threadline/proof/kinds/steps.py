@@ -21,7 +21,7 @@ from threadline.machine.vary import DAMPING_OF_DAYS, vary
 from threadline.motion.shaping.shaped_law import law_named
 from threadline.proof.kinds.kind import Kind
 from threadline.proof.kinds.variants import one_by_one
-from threadline.proof.options import Options, describe, foreign_options
+from threadline.proof.options import LEAVE_OUT, Options, describe, foreign_options
 from threadline.twin.stitching import simulate_stitching
 from threadline.twin.stitching_run import driven_of
 from threadline.verdict import Spec
@@ -36,12 +36,13 @@ def _check(machine: Machine) -> None:
 
 
 def _check_options(machine: Machine, options: Options) -> None:
-    if foreign_options(KIND.name, machine, options):
+    if names := foreign_options(KIND.name, machine, options):
         raise OptionError(
-            f"{machine.name} moves between its stitches by a law: it has no path, shaper or "
-            "feed-forward to choose",
-            remedy="Leave it out; a law and a tolerance may be given: --law cycloidal --tolerance "
-            '"0.05 mm".',
+            f"{machine.name} takes no {' or '.join(names)}, because it moves between its stitches "
+            "by a law, without a path, shaper or feed-forward to choose",
+            remedy='Leave it out, or name a law: --interpolation "law:cycloidal".'
+            if names == ["--interpolation"]
+            else LEAVE_OUT[len(names) > 1],
         )
     if options.feed is not None and options.feed.mode is not FeedMode.SHAFT:
         raise OptionError(
