@@ -11,6 +11,7 @@ from threadline.base.arguments import checked
 from threadline.base.arrays import FloatArray
 from threadline.base.summary import MOST_ROWS, Summary, html_table
 from threadline.base.wording import plain
+from threadline.base.writing import together
 from threadline.errors import OptionError
 from threadline.files.recording import columns_of
 from threadline.proof.option_form import Word
@@ -136,11 +137,14 @@ class Proved(Answer):
     def report(self, folder: PathLike) -> Path:
         """Write the report (HTML, PDF, PNG, SVG) into a folder; return the path of its page.
 
+        A proof over the tolerances adds the machine file of the worst machine, ``worst.toml``.
+
         Raises
         ------
         OptionError
-            If ``folder`` is a file.
+            If ``folder`` is a file, or its ``worst.toml`` is a machine file of this proof.
         """
+        from threadline.proof.proof_file import write_worst_beside
         from threadline.report.proof import write_report
         from threadline.search.report_data import report_data
 
@@ -150,7 +154,10 @@ class Proved(Answer):
                 f"cannot write {str(place)!r}: it is a file, not a folder",
                 remedy="Give the folder of the report.",
             )
-        return write_report(report_data(self.of), place)
+        with together():
+            page = write_report(report_data(self.of), place)
+            write_worst_beside(self.of, place)
+        return page
 
     @checked
     def write(self, file: PathLike, sign: PathLike | None = None) -> Written:
