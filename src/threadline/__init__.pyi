@@ -139,6 +139,7 @@ def design(
     limits: str = "100 %",
     shaper: str | None = None,
     feed_forward: bool = False,
+    smoothing: str | Sequence[str] | None = None,
     robust: str | None = None,
     contour: str | None = None,
     outside: str | None = None,

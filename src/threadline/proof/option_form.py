@@ -106,7 +106,8 @@ class Option:
     choices
         The permitted texts, if there are only a few.
     many
-        The verbs for which the option takes several values, separated by commas.
+        The verbs for which the option takes several values, separated by commas; in Python also as
+        a list.
     label, placeholder
         Label and placeholder of its field on the panel's page; without a label there is no field.
     most_text

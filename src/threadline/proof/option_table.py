@@ -57,6 +57,7 @@ PYTHON_VERBS = (
 )  # fmt: skip
 """The verbs of ``import threadline as tl``."""
 _PYTHON_NAMES = {"yield": "yields"}
+_OWN_LISTS = ("compare",)  # in Python an argument of their own takes several values: feeds
 PROGRAMMED = "programmed"
 """Text that a recording has as its feed if the plan keeps the feeds of the job."""
 MOST_PROFILE = 20_000
@@ -509,7 +510,7 @@ def options_for(
 ) -> tuple[Option, ...]:
     """Return the options of a verb at one interface."""
     among = tuple(groups)
-    listed = verb if door is Door.PYTHON else ""  # Python takes lists as arguments of functions
+    listed = verb if door is Door.PYTHON and verb in _OWN_LISTS else ""
     return tuple(
         one
         for one in TABLE
