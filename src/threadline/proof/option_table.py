@@ -388,7 +388,8 @@ TABLE: tuple[Option, ...] = (
         doors=(Door.LINE, Door.PYTHON),
     ),
     Option(
-        name="tolerances", group=Group.LEVEL, type=Type.FLAG, verbs=_PROVING, default=False,
+        name="tolerances", group=Group.LEVEL, type=Type.FLAG, verbs=(*_PROVING, "learn"),
+        default=False,
         help="Also judge the worst machine within the tolerances of the machine file that a search "
         "finds, and 200 drawn machines.",
         doors=(Door.LINE,),

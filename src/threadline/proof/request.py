@@ -410,7 +410,7 @@ _OTHER_ARGUMENTS = {
     "coupling": "coupling=", "controller": "controller=", "rule": "rule=", "axis": "axis=",
     "amplitude": "amplitude=", "link": "link=", "numbers": "numbers=", "experiment": "experiment=",
     "speed": "speed=", "store": "store=", "override": "override=", "proof": "proof=", "key": "key=",
-    "approach": "approach=True", "pass-stops": "pass_stops=True",
+    "approach": "approach=True", "pass-stops": "pass_stops=True", "from": "runs=",
 }  # fmt: skip
 
 
