@@ -226,7 +226,7 @@ def judge(
     recordings: PathLike | Sequence[PathLike],
     *,
     job: PathLike | None = None,
-    machine: str | None = None,
+    machine: PathLike | Machine | None = None,
     spec: PathLike | Spec | None = None,
     par: PathLike | None = None,
     actual: PathLike | Machine | None = None,

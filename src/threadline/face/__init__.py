@@ -205,7 +205,7 @@ def judge(
     recordings: PathLike | Sequence[PathLike],
     *,
     job: PathLike | None = None,
-    machine: str | None = None,
+    machine: PathLike | Machine | None = None,
     **words: Word,
 ) -> Answer:
     """Judge the motion of a machine, from one or several recordings of the same job.
@@ -215,7 +215,7 @@ def judge(
     recordings
         Recording files, in any format of ``docs/files.md``.
     job, machine
-        The job and the machine; None: the names in the recording.
+        The job and the machine, as ``prove`` takes them; None: the names in the recording.
     **words
         The options with which the plan was made, as on the command line. An option that is left
         out is read from the recording; without ``spec`` the specification of the machine applies.
