@@ -122,6 +122,7 @@ def fastest(job: PathLike, machine: PathLike | Machine, **words: Word) -> Fastes
     """
     from threadline.search import FastestJob
     from threadline.search.by_pace import answered
+    from threadline.search.mismatch import CYCLE
     from threadline.search.question import question_of
 
     given = Words.of("fastest", Door.PYTHON, words)
@@ -138,8 +139,10 @@ def fastest(job: PathLike, machine: PathLike | Machine, **words: Word) -> Fastes
         found.again,
         found.certainty,
         found.mismatch,
+        found.ended,
         partial(_prove_again, job, machine, kept),
         "the velocity limits of the axes" if own_end else "the end of the search",
+        "" if found.searched is CYCLE else found.searched.name,
     )
 
 
