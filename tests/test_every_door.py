@@ -221,6 +221,46 @@ def test_every_verb_reads_and_plans_alike_by_both_doors(stopped: Path, work: str
     assert told > 5
 
 
+@pytest.mark.parametrize(
+    ("given", "typed", "widths_s"),
+    [
+        ("36 ms", "36 ms", (0.036,)),
+        ("36 ms, 50 ms", "36 ms, 50 ms", (0.036, 0.05)),
+        (["36 ms", "50 ms"], "36 ms, 50 ms", (0.036, 0.05)),
+        (("36 ms",), "36 ms", (0.036,)),
+    ],
+)
+def test_a_redesign_tries_the_same_smoothing_times_by_both_doors(
+    monkeypatch: pytest.MonkeyPatch, given: object, typed: str, widths_s: tuple[float, ...]
+) -> None:
+    from threadline.cli import design
+
+    class AskedError(Exception):
+        pass
+
+    def asked(file: Path, machine: Any, spec: Any, options: Options, wanted: Any, *_: Any) -> None:
+        raise AskedError(options, wanted)
+
+    monkeypatch.setattr(design, "search_design", asked)
+    monkeypatch.setattr("threadline.search.design.design", asked)
+    job = EXAMPLES / "stitcher-test-path.seam.toml"
+    with pytest.raises(AskedError) as by_call:
+        tl.design(job, "stitcher", feed_forward=True, smoothing=given)  # type: ignore[arg-type]
+    words = ["design", str(job), "-m", "stitcher", "--feed-forward", "--smoothing", typed]
+    with pytest.raises(AskedError) as by_words:
+        app(args=words, standalone_mode=False)
+    assert by_call.value.args == by_words.value.args
+    assert by_call.value.args[1].smoothing_s == pytest.approx(widths_s, rel=1e-12)
+
+
+def test_a_redesign_refuses_what_is_no_smoothing_time() -> None:
+    job = EXAMPLES / "stitcher-test-path.seam.toml"
+    with pytest.raises(OptionError, match=r"smoothing is \[36\], of type list"):
+        tl.design(job, "stitcher", feed_forward=True, smoothing=[36])  # type: ignore[list-item]
+    with pytest.raises(OptionError, match="needs feed-forward"):
+        tl.design(job, "stitcher", smoothing=["36 ms"])
+
+
 def test_an_option_changes_what_is_read(stopped: Path) -> None:
     """Otherwise this test would not notice a verb that ignores one of these options."""
     plain = by_python("prove", stopped, "ticks", {})

@@ -126,6 +126,21 @@ def test_the_best_is_proved_in_one_call(tmp_path: Path) -> None:
         replace(found, best=None, best_options=None).prove()
 
 
+def test_a_recording_is_judged_by_machines_that_are_loaded(tmp_path: Path) -> None:
+    """As by their names: the machine of the plan, and the one that ran it."""
+    job, file = ROOT / "examples" / "x-180.prg", tmp_path / "own.toml"
+    file.write_text('base = "lathe-winder"\nname = "own"\ntitle = "own"\n', encoding="utf-8")
+    machine, heavy = tl.load_machine(file), tl.load_machine("lathe-winder+physical")
+    recorded = tl.prove(job, machine, level="nominal", actual=heavy).record(tmp_path / "x.npz")
+    wanted = tl.judge(recorded.path).verdict.results
+    found = tl.judge([recorded.path], machine=machine, actual=heavy)
+    assert found.plan.machine is machine
+    assert found.verdict.results == wanted
+    assert tl.judge(recorded.path, machine=file).verdict.results == wanted
+    with pytest.raises(OptionError, match="was recorded on another machine"):
+        tl.judge(recorded.path, machine=machine, actual=machine)
+
+
 def test_a_run_has_columns_for_plots() -> None:
     """The columns of the recording, with units and of equal length, as a data frame needs them."""
     proof = tl.prove(ROOT / "examples" / "x-180.prg", "lathe-winder", repeats=2)
@@ -172,7 +187,11 @@ def test_every_kind_of_machine_has_the_whole_face(kind: str, tmp_path: Path) -> 
     assert proof.json()["machine"] == machine.name and proof.verdict.results
     assert tl.prove(job, name, repeats=2).verdict.runs == (1 if machine.without_dynamics else 2)
     recorded = proof.record(tmp_path / "run.npz").path
-    for answer in (tl.judge(recorded), tl.judge(recorded, job=job, machine=name)):
+    for answer in (
+        tl.judge(recorded),
+        tl.judge(recorded, job=job, machine=name),
+        tl.judge(recorded, job=job, machine=machine),
+    ):
         assert answer.passed == proof.passed
         assert [r.status for r in answer.verdict.results] == [
             r.status for r in proof.verdict.results

@@ -311,6 +311,32 @@ def test_the_file_of_the_worst_machine_gives_its_figure_to_the_bit(
     assert alone["tightest"]["name"] == over["tolerances"]["worst_criterion"]
 
 
+def test_a_report_in_python_has_the_worst_machine_as_on_the_command_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The same bytes by both doors; but no report replaces the machine file of its own proof."""
+    monkeypatch.setattr(worst_search, "SEARCHED", 12)
+    monkeypatch.setattr(worst_search, "SEARCHED_ALONE", 10)
+    monkeypatch.chdir(tmp_path)
+    job = tmp_path / "turn.prg"
+    job.write_text("G91\nG1 X2 F1000\nM30\n", encoding="utf-8")
+    typed = ["prove", str(job), "-m", "lathe-winder", "--tolerances", "--report", "typed"]
+    with pytest.raises(SystemExit):
+        main(typed)
+    proof = tl.prove(job, "lathe-winder", level="over tolerances")
+    page = proof.report("called")
+    assert page.parent == Path("called")
+    written = Path("called/worst.toml").read_bytes()
+    assert written and written == Path("typed/worst.toml").read_bytes()
+    tl.prove(job, "lathe-winder", level="nominal").report("plain")
+    assert not Path("plain/worst.toml").exists()
+    actual = tl.load_machine("called/worst.toml")
+    own = replace(proof, of=replace(proof.of, actual=actual))
+    with pytest.raises(OptionError, match=r"worst\.toml"):
+        own.report("called")
+    assert Path("called/worst.toml").read_bytes() == written
+
+
 def test_the_worst_machine_is_of_one_level_alone(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

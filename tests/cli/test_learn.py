@@ -7,8 +7,11 @@ from pathlib import Path
 
 import pytest
 
+import threadline as tl
 from threadline.cli.main import main
+from threadline.errors import OptionError
 from threadline.files.formats import read_table
+from threadline.proof import worst_search
 from threadline.report.learn import table_name
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
@@ -81,6 +84,28 @@ def test_repeats_are_printed_and_the_table_is_written(
     code, _, said = run(capsys, "prove", *asked, "--nominal", "--table", table)
     assert code == 2
     assert "learned from another plan of this job" in said
+
+
+def test_other_machines_are_judged_by_both_doors_alike(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(worst_search, "SEARCHED", 12)
+    job = tmp_path / "turn.prg"
+    job.write_text("G91\nG1 X2 F1000\nM30\n")
+    words = ("learn", job, "-m", "lathe-winder", "--tolerances", "--repeats", "1", "--json")
+    code, out, said = run(capsys, *words)
+    assert code == 0, said
+    found = tl.learn(job, "lathe-winder", level="over tolerances", repeats=1)
+    typed = json.loads(out)
+    assert typed == json.loads(json.dumps(found.content()))
+    assert typed["level"] == "over tolerances"
+    assert typed["machines"][0]["verdict"]["tolerances"]["drawn"] == 200
+    recording = tmp_path / "x.npz"
+    tl.prove(job, "lathe-winder", level="nominal").record(recording)
+    code, _, said = run(capsys, *words[:5], "--from", recording)
+    assert code == 2 and "Leave --tolerances out" in said
+    with pytest.raises(OptionError, match=r'runs= judges .* Leave level="over tolerances" out'):
+        tl.learn(job, "lathe-winder", level="over tolerances", runs=[recording])
 
 
 @pytest.mark.long(

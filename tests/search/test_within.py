@@ -14,7 +14,9 @@ from typing import Any
 
 import pytest
 
+import threadline as tl
 from threadline.cli.main import main
+from threadline.errors import OptionError
 from threadline.machine import load_machine
 from threadline.motion.path.interpolations import OPTIMAL
 from threadline.proof.options import Options
@@ -261,3 +263,44 @@ def test_the_command_takes_a_time_for_every_kind(
     else:
         assert end.value.code == 2
         assert "no plan could be judged in that time" in told.err
+
+
+def test_python_says_that_a_search_ended_early_as_the_command_line_does(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Without a cycle in spec, the reason is the time, and no feed can be lowered."""
+    monkeypatch.setattr(Deadline, "within", classmethod(lambda _, __: After(0)))
+    cycle = EXAMPLES / "letter-cycle.toml"
+    found = tl.fastest(cycle, "letter-placer", within="5 s", level="nominal")
+    assert (found.best, found.ended) == (None, OUT_OF_TIME)
+    assert repr(found) == (
+        "no plan in spec was found so far (out of time), limited by residual_vibration"
+    )
+    with pytest.raises(OptionError, match="Give within= a longer time") as refused:
+        found.prove()
+    assert "search stopped (out of time)" in str(refused.value)
+    assert "feed" not in str(refused.value)
+    with pytest.raises(OptionError, match="Let it search to its end"):
+        replace(found, ended=INTERRUPTED).prove()
+    with pytest.raises(OptionError, match="Give wider limits, or another move list or machine"):
+        replace(found, ended="").prove()
+    words = ["fastest", str(cycle), "-m", "letter-placer", "--within", "5 s", "--nominal", "--json"]
+    with pytest.raises(SystemExit):
+        main(words)
+    assert json.loads(capsys.readouterr().out)["ended"] == found.ended
+
+
+def test_python_says_that_the_best_feed_is_the_best_so_far(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A complete search says nothing of the kind, and one for a needle names no feed."""
+    job = EXAMPLES / "x-180.prg"
+    whole = tl.fastest(job, "lathe-winder", interpolation="linear", level="nominal")
+    assert whole.ended == "" and repr(whole).startswith("fastest: ")
+    monkeypatch.setattr(Deadline, "within", classmethod(lambda _, __: After(50)))
+    found = tl.fastest(job, "lathe-winder", interpolation="linear", level="nominal", within="5 s")
+    assert found.ended == OUT_OF_TIME and found.best is not None
+    assert repr(found).startswith("fastest so far (out of time): ")
+    sewn = tl.fastest(EXAMPLES / "strap.seam.toml", "stitcher-rigid", level="nominal")
+    with pytest.raises(OptionError, match="Prove with a lower needle speed, or with wider limits"):
+        replace(sewn, best=None, best_options=None).prove()

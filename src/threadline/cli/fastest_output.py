@@ -126,7 +126,7 @@ class SearchOutput(ABC):
             "limited_by": found.limited_by,
             "tried": found.tried,
             "margin": self.question.margin,
-            "ended": self.ended,
+            "ended": found.ended,
             "verdict": verdict_content(found.verdict),
             **self._details(),
         }
@@ -155,7 +155,7 @@ class SearchOutput(ABC):
     def show(self, again: str | None, page: Path | None) -> None:
         """Print the answer, the command ``again`` that proves it, and the path of the report."""
         found = self.found
-        for line in until_words(self.ended):
+        for line in until_words(found.ended):
             say(line)
         show([self._table(), *self._lines()])
         place_text = "at the fastest" if found.best is not None else "where the search came closest"
@@ -177,11 +177,6 @@ class SearchOutput(ABC):
             show_mismatch(found.mismatch, self.title, found.searched)
         if page is not None:
             say(f"Report: {page}")
-
-    @property
-    def ended(self) -> str:
-        """Why the search stopped early; empty if it did not."""
-        return "" if self.question.until is None else self.question.until.ended
 
 
 def show(parts: Iterable[Printed | str | None]) -> None:

@@ -26,6 +26,7 @@ from threadline.machine import Machine
 from threadline.proof.kinds.kind import WRITING, Share
 from threadline.proof.pipeline import Proof, with_shaping
 from threadline.proof.pipeline import prove as prove_job
+from threadline.proof.proof_file import write_proof, write_worst, write_worst_beside
 from threadline.proof.recorded import warnings_of
 from threadline.proof.request import Words
 from threadline.report.lines import about
@@ -101,8 +102,6 @@ def prove(
                 reported = Share(proof.plan, progress, 1, WRITING).of([proof.recording])
                 write_recording(reported[0], recording, plot_every=plot_every(chosen))
             if proof_file is not None:
-                from threadline.proof.proof_file import write_proof
-
                 write_proof(proof, proof_file, key)
             if worst is not None:
                 write_worst(proof, worst)
@@ -114,7 +113,8 @@ def prove(
 
                 progress("drawing the report", 0.0)
                 written = write_report(report_data(proof), report)
-                worst = write_worst_beside(proof, report, worst)
+                beside = write_worst_beside(proof, report)
+                worst = worst or beside
     tell(warnings_of(proof))
     if json:
         content = verdict_json(proof.verdict, proof.plan)
@@ -143,23 +143,6 @@ def prove(
             ):
                 say(line)
     raise typer.Exit(0 if proof.verdict.passed else 1)
-
-
-def write_worst(proof: Proof, file: Path) -> None:
-    """Write the machine file of the worst machine within the tolerances that a proof found."""
-    assert proof.worst is not None
-    machine = proof.plan.machine if proof.actual is None else proof.actual
-    from threadline.proof import worst_machine
-
-    worst_machine.write_worst(machine, proof.worst, file, "prove --tolerances")
-
-
-def write_worst_beside(proof: Proof, report: Path, worst: Path | None) -> Path | None:
-    """Write the worst machine's file into a report; return ``worst``, or else the written file."""
-    if proof.worst is None:
-        return worst
-    write_worst(proof, report / "worst.toml")
-    return worst or report / "worst.toml"
 
 
 def worst_product(proof: Proof) -> str:

@@ -122,6 +122,7 @@ def fastest(job: PathLike, machine: PathLike | Machine, **words: Word) -> Fastes
     """
     from threadline.search import FastestJob
     from threadline.search.by_pace import answered
+    from threadline.search.mismatch import CYCLE
     from threadline.search.question import question_of
 
     given = Words.of("fastest", Door.PYTHON, words)
@@ -138,8 +139,10 @@ def fastest(job: PathLike, machine: PathLike | Machine, **words: Word) -> Fastes
         found.again,
         found.certainty,
         found.mismatch,
+        found.ended,
         partial(_prove_again, job, machine, kept),
         "the velocity limits of the axes" if own_end else "the end of the search",
+        "" if found.searched is CYCLE else found.searched.name,
     )
 
 
@@ -205,7 +208,7 @@ def judge(
     recordings: PathLike | Sequence[PathLike],
     *,
     job: PathLike | None = None,
-    machine: str | None = None,
+    machine: PathLike | Machine | None = None,
     **words: Word,
 ) -> Answer:
     """Judge the motion of a machine, from one or several recordings of the same job.
@@ -215,7 +218,7 @@ def judge(
     recordings
         Recording files, in any format of ``docs/files.md``.
     job, machine
-        The job and the machine; None: the names in the recording.
+        The job and the machine, as ``prove`` takes them; None: the names in the recording.
     **words
         The options with which the plan was made, as on the command line. An option that is left
         out is read from the recording; without ``spec`` the specification of the machine applies.

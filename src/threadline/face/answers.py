@@ -11,6 +11,7 @@ from threadline.base.arguments import checked
 from threadline.base.arrays import FloatArray
 from threadline.base.summary import MOST_ROWS, Summary, html_table
 from threadline.base.wording import plain
+from threadline.base.writing import together
 from threadline.errors import OptionError
 from threadline.files.recording import columns_of
 from threadline.proof.option_form import Word
@@ -136,11 +137,14 @@ class Proved(Answer):
     def report(self, folder: PathLike) -> Path:
         """Write the report (HTML, PDF, PNG, SVG) into a folder; return the path of its page.
 
+        A proof over the tolerances adds the machine file of the worst machine, ``worst.toml``.
+
         Raises
         ------
         OptionError
-            If ``folder`` is a file.
+            If ``folder`` is a file, or its ``worst.toml`` is a machine file of this proof.
         """
+        from threadline.proof.proof_file import write_worst_beside
         from threadline.report.proof import write_report
         from threadline.search.report_data import report_data
 
@@ -150,7 +154,10 @@ class Proved(Answer):
                 f"cannot write {str(place)!r}: it is a file, not a folder",
                 remedy="Give the folder of the report.",
             )
-        return write_report(report_data(self.of), place)
+        with together():
+            page = write_report(report_data(self.of), place)
+            write_worst_beside(self.of, place)
+        return page
 
     @checked
     def write(self, file: PathLike, sign: PathLike | None = None) -> Written:
@@ -181,7 +188,8 @@ class FastestResult:
     unit
         ``"m/s"``, ``"stitch/s"`` or ``"s"``; empty for a factor.
     limited_by
-        The criterion that a faster plan would fail.
+        The criterion that a faster plan would fail, or where nothing is in spec, that the closest
+        plan fails.
     of
         The result of the search in ``threadline.search``, with every try; its type depends on the
         job (``docs/api.md``).
@@ -194,6 +202,9 @@ class FastestResult:
     mismatch
         The fastest plan for each machine at the ends of the tolerances; empty without the option
         ``mismatch``.
+    ended
+        Why the search stopped early, such as ``"out of time"``; the result is then the best so far.
+        Empty for a complete search.
     """
 
     best: float | None
@@ -203,8 +214,10 @@ class FastestResult:
     best_options: Mapping[str, Any] | None = None
     certainty: Certainty | None = None
     mismatch: tuple[Mismatch, ...] = ()
+    ended: str = ""
     _asked: Callable[..., Proved] | None = None
     _end: str = "the end of the search"
+    _pace: str = "feed"  # empty for a cycle, which has none
 
     def prove(self, **words: Word) -> Proved:
         """Prove the best: the same job on the same machine, with ``best_options``.
@@ -219,22 +232,41 @@ class FastestResult:
         OptionError
             If nothing was in spec, or if only a move list can describe the best plan.
         """
+        if self.best is None:
+            raise self._nothing_found()
         if self._asked is None or self.best_options is None:
             raise OptionError(
-                "nothing was in spec, so there is no best plan to prove"
-                if self.best is None
-                else "only a move list can describe the best plan",
-                remedy="Prove with a lower feed, or with wider limits."
-                if self.best is None
-                else "threadline fastest -o FILE writes the move list; prove that.",
+                "only a move list can describe the best plan",
+                remedy="threadline fastest -o FILE writes the move list; prove that.",
             )
         return self._asked(**{**self.best_options, **words})
+
+    def _nothing_found(self) -> OptionError:
+        """Return the error for the proof of a best plan where no plan is in spec."""
+        from threadline.search.deadline import INTERRUPTED
+
+        if self.ended:
+            return OptionError(
+                f"no plan in spec was found before the search stopped ({self.ended}), so there is "
+                "no best plan to prove",
+                remedy="Let it search to its end."
+                if self.ended == INTERRUPTED
+                else "Give within= a longer time.",
+            )
+        return OptionError(
+            "nothing was in spec, so there is no best plan to prove",
+            remedy=f"Prove with a lower {self._pace}, or with wider limits."
+            if self._pace
+            else "Give wider limits, or another move list or machine.",
+        )
 
     def __repr__(self) -> str:
         """Return the answer in a few lines; ``of`` has every try."""
         from threadline.search.fastest import RANGE
 
         limit = self._end if self.limited_by == RANGE else self.limited_by
+        if self.best is None and self.ended:
+            return f"no plan in spec was found so far ({self.ended}), limited by {limit}"
         if self.best is None:
             return f"nothing is in spec, limited by {limit}"
         unit = self.unit or "times the feeds of the program"
@@ -243,5 +275,6 @@ class FastestResult:
         )
         duration_s = getattr(getattr(self.of, "best", None), "duration_s", None)
         lasting = "" if duration_s is None else f"{duration_s:.6g} s at "
-        lines = [f"fastest: {lasting}{self.best:.6g} {unit}, limited by {limit}"]
+        so_far = f" so far ({self.ended})" if self.ended else ""
+        lines = [f"fastest{so_far}: {lasting}{self.best:.6g} {unit}, limited by {limit}"]
         return "\n".join([*lines, *([f"  .prove() proves it: {options}"] if options else [])])

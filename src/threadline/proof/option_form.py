@@ -108,7 +108,8 @@ class Option:
     values
         Returns the usual texts of an option whose values are names; None for other values.
     many
-        The verbs for which the option takes several values, separated by commas.
+        The verbs for which the option takes several values, separated by commas; in Python also as
+        a list.
     label, placeholder
         Label and placeholder of its field on the panel's page; without a label there is no field.
     most_text

@@ -401,7 +401,8 @@ TABLE: tuple[Option, ...] = (
         doors=(Door.LINE, Door.PYTHON),
     ),
     Option(
-        name="tolerances", group=Group.LEVEL, type=Type.FLAG, verbs=_PROVING, default=False,
+        name="tolerances", group=Group.LEVEL, type=Type.FLAG, verbs=(*_PROVING, "learn"),
+        default=False,
         help="Also judge the worst machine within the tolerances of the machine file that a search "
         "finds, and 200 drawn machines.",
         doors=(Door.LINE,),
@@ -532,7 +533,7 @@ def options_for(
 ) -> tuple[Option, ...]:
     """Return the options of a verb at one interface."""
     among = tuple(groups)
-    listed = verb if door is Door.PYTHON else ""  # Python takes lists as arguments of functions
+    listed = verb if door is Door.PYTHON and verb == _OF_LISTS else ""
     return tuple(
         one
         for one in TABLE

@@ -1,4 +1,4 @@
-"""A proof as a file: hashes of all its inputs, and its verdict.
+"""The files of a proof: hashes of all its inputs with its verdict, and the worst machine found.
 
 Two proofs have equal hashes if they prove the same thing. ``docs/files.md`` defines each hash, so
 that another program can compare them. An executor calls ``check_proof`` before it moves a machine.
@@ -19,13 +19,14 @@ from pathlib import Path
 from typing import Any
 
 from threadline import __version__
-from threadline.base.reading import read_text
+from threadline.base.reading import note_input, read_text
 from threadline.commands.plan import Plan
 from threadline.errors import Place, ProofError
 from threadline.files.formats.common import Written, atomic_file, written
 from threadline.machine import Machine, load_machine
 from threadline.machine.load import split_reference
 from threadline.machine.par import read_parameters
+from threadline.proof import worst_machine
 from threadline.proof.options import options_from
 from threadline.proof.pipeline import Proof, open_job, plan_job, with_shaping
 from threadline.proof.proof_form import contradiction, criteria_difference, in_spec, malformed_entry
@@ -435,3 +436,32 @@ def _entries(place: Place, pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 def _refuse_constant(text: str) -> float:
     raise ValueError(f"{text} is not a number")
+
+
+def write_worst(proof: Proof, file: Path) -> None:
+    """Write the machine file of the worst machine within the tolerances that a proof found.
+
+    Raises
+    ------
+    OptionError, OSError
+        If the file cannot be written, or is a machine file of the proof.
+    """
+    assert proof.worst is not None
+    machine = proof.plan.machine if proof.actual is None else proof.actual
+    for one in (proof.plan.machine, machine):
+        note_input(Path(one.file))  # the written file would else become its own base
+    worst_machine.write_worst(machine, proof.worst, file, "prove --tolerances")
+
+
+def write_worst_beside(proof: Proof, report: Path) -> Path | None:
+    """Write the worst machine of a proof into its report; return the file, None if none was found.
+
+    Raises
+    ------
+    OptionError, OSError
+        As for ``write_worst``.
+    """
+    if proof.worst is None:
+        return None
+    write_worst(proof, report / "worst.toml")
+    return report / "worst.toml"

@@ -46,7 +46,7 @@ def judge_files(
     words: Words,
     *,
     job: Path | None = None,
-    machine: str | None = None,
+    machine: str | Path | Machine | None = None,
     read_one: Callable[[Path], Recording] = read_recording,
 ) -> Judged:
     """Judge recordings of the same job.
@@ -59,7 +59,8 @@ def judge_files(
         Options of ``judge``. An option that is left out is taken from the recording; if the
         recording does not have it either, it has its default.
     job, machine
-        The job and the machine, if the recording does not name them; None: as it names them.
+        The job and the machine, named or loaded, if the recording does not name them; None: as it
+        names them.
     read_one
         Reads one file.
 
@@ -72,12 +73,15 @@ def judge_files(
     """
     _refuse_copies(recordings)
     recordings_read = [read_one(path) for path in recordings]
+    actual = words.given.get("actual")
     given = _given(words, job, machine, recordings_read[0].origin)
     origin = _origin(recordings[0], recordings_read[0], given)
     settings = Path(origin["par"]) if "par" in origin else None
-    planned_machine = chosen_machine(origin["machine"], settings)
+    planned_machine = chosen_machine(_loaded(machine, origin["machine"]), settings)
     run_machine = (
-        chosen_machine(origin["actual"], settings) if "actual" in origin else planned_machine
+        chosen_machine(_loaded(actual, origin["actual"]), settings)
+        if "actual" in origin
+        else planned_machine
     )
     options = options_from(origin)
     for path, recording in zip(recordings, recordings_read, strict=True):
@@ -93,7 +97,10 @@ def judge_files(
 
 
 def _given(
-    words: Words, job: Path | None, machine: str | None, recorded: Mapping[str, str]
+    words: Words,
+    job: Path | None,
+    machine: str | Path | Machine | None,
+    recorded: Mapping[str, str],
 ) -> dict[str, str | None]:
     """Return the given options, by the keys of ``describe``.
 
@@ -104,9 +111,9 @@ def _given(
     """
     given: dict[str, str | None] = {
         "job": None if job is None else str(job),
-        "machine": machine,
+        "machine": _reference(machine),
         "par": words.text("par"),
-        "actual": words.text("actual"),
+        "actual": _reference(words.given.get("actual")),
     }
     for planning_option, file_form in RECORDED:
         text = words.text(planning_option.word)
@@ -127,6 +134,18 @@ def _given(
     if words.flag("feed_forward") and given["feed-forward"] is None:
         given["feed-forward"] = recorded.get("feed-forward", FEED_FORWARD)
     return given
+
+
+def _reference(machine: object) -> str | None:
+    """Return the name by which a machine is loaded again; None for none."""
+    if machine is None:
+        return None
+    return machine.reference if isinstance(machine, Machine) else str(machine)
+
+
+def _loaded(machine: object, name: str) -> str | Machine:
+    """Return a machine that the caller has loaded, else the name of the machine to load."""
+    return machine if isinstance(machine, Machine) else name
 
 
 def _origin(path: Path, recording: Recording, given: Mapping[str, str | None]) -> dict[str, str]:

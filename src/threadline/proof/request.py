@@ -87,11 +87,16 @@ class Words:
         OptionError
             If a word is not an option of the verb, or its value has the wrong type.
         """
+        texts = dict(words)
         if door is Door.PYTHON:
             for one in options_for(verb, door):
-                if one.word in words:
-                    check_argument(one.word, words[one.word], _taken(one, verb))
-        return cls(verb, known_words(verb, door, words))
+                if one.word not in words:
+                    continue
+                value = words[one.word]
+                check_argument(one.word, value, _taken(one, verb))
+                if isinstance(value, Sequence) and not isinstance(value, str):
+                    texts[one.word] = ", ".join(value)
+        return cls(verb, known_words(verb, door, texts))
 
     def text(self, word: str) -> str | None:
         """Return the text of an option; None if it was not given."""
@@ -430,6 +435,8 @@ def python_type(one: Option, verb: str) -> str:
     if one.choices:
         return f"Literal[{', '.join(repr(text).replace(chr(39), chr(34)) for text in one.choices)}]"
     plain, _ = _PYTHON[one.type]
+    if verb in one.many:
+        plain = f"{plain} | Sequence[{plain}]"
     return plain if one.default_of(verb) is not None else f"{plain} | None"
 
 
@@ -445,7 +452,7 @@ _OTHER_ARGUMENTS = {
     "coupling": "coupling=", "controller": "controller=", "rule": "rule=", "axis": "axis=",
     "amplitude": "amplitude=", "link": "link=", "numbers": "numbers=", "experiment": "experiment=",
     "speed": "speed=", "store": "store=", "override": "override=", "proof": "proof=", "key": "key=",
-    "approach": "approach=True", "pass-stops": "pass_stops=True",
+    "approach": "approach=True", "pass-stops": "pass_stops=True", "from": "runs=",
 }  # fmt: skip
 
 
@@ -481,7 +488,9 @@ def as_arguments(text: str, verb: str = "") -> str:
 
 def _taken(one: Option, verb: str) -> Any:
     """Return the Python types that an option of a verb accepts."""
-    _, plain = _PYTHON[one.type]
+    plain: Any = _PYTHON[one.type][1]
+    if verb in one.many:
+        plain = plain | Sequence[plain]
     return plain if one.default_of(verb) is not None else plain | None
 
 

@@ -124,6 +124,11 @@ class Answer:
         return self.best is not None
 
     @property
+    def ended(self) -> str:
+        """Why the search stopped early; empty if it did not."""
+        return "" if self.question.until is None else self.question.until.ended
+
+    @property
     def again(self) -> dict[str, Any] | None:
         """Options with which ``prove`` makes the best plan, by word; None if there are none."""
         return (

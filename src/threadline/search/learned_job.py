@@ -323,11 +323,16 @@ def learned_from(
     Raises
     ------
     OptionError
-        If there is no recording, if one belongs to another job, machine or plan, or if a given
-        planning option differs from the recording's.
+        If there is no recording, if one belongs to another job, machine or plan, if a given
+        planning option differs from the recording's, or if the words ask for simulated machines.
     """
     if not recorded:
         raise OptionError("there is no run to learn from", remedy="Name one with --from.")
+    if words.trials().machines:
+        raise OptionError(
+            "--from judges recorded runs, and --tolerances asks for simulated machines",
+            remedy="Leave --tolerances out.",
+        )
     chosen = words.machine(machine)
     origins = [
         {"interpolation": "default", "feed": "programmed", "tolerance": "0.1 mm", **one.origin}
