@@ -83,6 +83,52 @@ def test_a_proof_of_a_part_program_imports_what_it_uses(examples: Path) -> None:
     assert len(modules) < 238
 
 
+_OTHER_PROGRAMS = ("jobs.gcode.part_program", "jobs.winding", "motion.timing.optimal")
+_OTHER_DRAWINGS = ("geometry.read_csv", "geometry.read_dxf", "geometry.svg")
+_OTHER_DESIGNS = tuple(f"jobs.embroidery.{name}" for name in ("hus", "pes", "t15", "vp3"))
+
+
+@pytest.mark.parametrize(
+    ("call", "used", "foreign"),
+    [
+        (
+            "prove('x-180.prg', 'lathe-winder', level='nominal')",
+            "jobs.gcode.part_program",
+            (*_OTHER_PROGRAMS[1:], "jobs.seam", "jobs.embroidery", "geometry", "twin.switching"),
+        ),
+        (
+            "prove('stitcher-even.seam.toml', 'stitcher', feed_forward=True, level='nominal')",
+            "jobs.seam.job",
+            (*_OTHER_PROGRAMS, *_OTHER_DRAWINGS, "jobs.embroidery", "twin.switching"),
+        ),
+        (
+            "prove('letter-cycle.toml', 'letter-placer', level='nominal')",
+            "twin.switching",
+            (*_OTHER_PROGRAMS, "jobs.seam", "jobs.embroidery", "geometry", "twin.stitching"),
+        ),
+        (
+            "prove('rosette.dst', 'schiffli-frame', level='nominal')",
+            "twin.stitching",
+            (*_OTHER_PROGRAMS, *_OTHER_DESIGNS, "jobs.seam", "geometry", "commands.step_files",
+             "machine.days", "twin.switching"),
+        ),
+    ],
+)  # fmt: skip
+def test_a_proof_in_python_imports_what_its_kind_of_work_uses(
+    examples: Path, call: str, used: str, foreign: tuple[str, ...]
+) -> None:
+    """At most 238 modules are imported; a few may be added."""
+    words = f"import threadline as tl; tl.{call}; import sys; print(*sorted(sys.modules))"
+    found = subprocess.run(
+        [sys.executable, "-c", words], capture_output=True, text=True, check=True, cwd=examples
+    ).stdout.splitlines()
+    modules = [name for name in found[-1].split() if name.startswith("threadline")]
+    ours = [name.removeprefix("threadline.") for name in modules]
+    assert used in ours
+    assert [name for name in ours if f"{name}.".startswith(tuple(f"{n}." for n in foreign))] == []
+    assert len(modules) < 245
+
+
 def test_a_process_that_reads_a_drawing_loads_the_geometry_alone() -> None:
     words = import_and_call("threadline.panel.drawings", "__name__.upper")
     words += "; import sys; print(*sorted({name.split('.')[1] for name in sys.modules"

@@ -166,7 +166,7 @@ def test_the_first_run_on_a_computer_says_once_that_it_compiles(
     monkeypatch.setattr(messages, "LOOK_S", 0.01)
     monkeypatch.setattr(messages, "COMPILING_S", 0.0)
     monkeypatch.setattr(COMPILING, "kept", kept)
-    before_s = COMPILING.lasted_s()
+    before_s, before = COMPILING.lasted_s(), COMPILING.functions
     with messages.telling():
         time.sleep(0.1)
         assert not capsys.readouterr().err  # nothing is compiled yet
@@ -179,7 +179,7 @@ def test_the_first_run_on_a_computer_says_once_that_it_compiles(
         time.sleep(0.1)
     heard += capsys.readouterr().err
     assert re.fullmatch(f"compiling machine code, {said}\\n", heard)
-    assert COMPILING.depth == 0
+    assert (COMPILING.depth, COMPILING.functions) == (0, before + 2)
     assert 0.0 < COMPILING.lasted_s() - before_s < 60.0
 
 
@@ -460,3 +460,41 @@ def test_the_bar_says_how_far_planning_is_and_no_share_that_nobody_knows() -> No
     planning, simulating = shown.split("simulating", 1)
     assert "planning, 12.5 s of motion so far" in planning and "%" not in planning
     assert "25%" in simulating
+
+
+def test_the_bar_says_what_is_compiled_and_how_far() -> None:
+    """While a stage waits for its machine code, its name and share would seem to stand still.
+
+    A function within another counts too, numba's own do not.
+    """
+    ours, theirs = pty.openpty()
+    program = (
+        "import time\n"
+        "from threadline.base.progress import COMPILING\n"
+        "from threadline.cli.on_terminal import bar_on_terminal\n"
+        "with bar_on_terminal() as update:\n"
+        "    update('planning', 0.0)\n"
+        "    COMPILING.begin('threadline.motion.path.runs')\n"
+        "    time.sleep(1.4)\n"
+        "    COMPILING.begin('numba.np.arrayobj')\n"
+        "    COMPILING.begin('threadline.verdict.bow')\n"
+        "    COMPILING.end(), COMPILING.end(), COMPILING.end()\n"
+        "    time.sleep(0.3)\n"
+        "    update('simulating', 0.25)\n"
+        "    time.sleep(0.9)\n"
+    )
+    wide = {**os.environ, "COLUMNS": "140", "TERM": "xterm"}
+    subprocess.run([sys.executable, "-c", program], stderr=theirs, env=wide, check=True)
+    shown = os.read(ours, 65536).decode()
+    os.close(ours)
+    os.close(theirs)
+    compiling, simulating = shown.split("simulating", 1)
+    first, second = (
+        f"compiling machine code for {part} (usually at most 90), 1 s"
+        for part in ("planning: 1 function", "judging: 2 functions")
+    )
+    assert first in compiling and second in compiling.split(first)[-1]
+    assert "%" not in compiling
+    bars = [line.count("╸") + line.count("━") for line in re.split("[\r\n]", compiling)]
+    assert max(bars) == 20
+    assert "25%" in simulating and "compiling" not in simulating

@@ -200,9 +200,9 @@ def _checked(path: Path) -> bytes:
 class _Clock(Listener):
     """Reports to ``COMPILING`` the start and end of every compilation."""
 
-    def on_start(self, event: Event) -> None:  # noqa: ARG002
-        """Report the start of a compilation."""
-        COMPILING.begin()
+    def on_start(self, event: Event) -> None:
+        """Report the start of a compilation, and the module of the compiled function."""
+        COMPILING.begin(event.data["dispatcher"].py_func.__module__)
 
     def on_end(self, event: Event) -> None:  # noqa: ARG002
         """Report the end of a compilation, with or without success."""

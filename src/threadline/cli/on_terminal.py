@@ -11,14 +11,17 @@ from typing import IO, TextIO, cast
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.progress import BarColumn, Progress, ProgressColumn, Task, TextColumn, TimeElapsedColumn
+from rich.progress_bar import ProgressBar
 from rich.table import Table
 from rich.text import Text
 
+from threadline.base.progress import COMPILING, USUAL_FUNCTIONS
 from threadline.base.progress import Progress as ProgressCall
 from threadline.base.wording import plain
 from threadline.cli.messages import STARTING, at_work, in_full, share_of
 
 _SHOW_AFTER_S = 1.0
+_SHORT_BAR = 20  # characters, so that the text beside it takes two lines of a terminal of 80
 _BETWEEN = 3  # characters that a column takes beside its text
 _WRAPPED = 40  # characters: a narrower column breaks a note too often
 _NARROW = 24  # characters of a note, for which the other columns stay on one line
@@ -128,30 +131,53 @@ class _Stage(ProgressColumn):
     """Column with the stage; its text is read at each drawing, so that it shows the progress."""
 
     def render(self, task: Task) -> Text:
-        """Return the text of the column, the first; the columns beside it draw the same share."""
+        """Return the text of the column, the first; the columns beside it draw the same share.
+
+        While machine code is compiled, the stage stands still, and the text says how far that is.
+        """
+        if COMPILING.busy():
+            return Text(COMPILING.words())
         share = share_of(task.description, task.completed)
         if share > task.completed:
             task.completed, task.total = share, 1.0
         return Text(in_full(task.description))
 
 
+class _Bar(BarColumn):
+    """The bar of the stage; while machine code is compiled, that of the compiled functions.
+
+    A bar of functions is full at ``USUAL_FUNCTIONS``, and only moves if there are more.
+    """
+
+    def render(self, task: Task) -> ProgressBar:
+        """Return the bar."""
+        bar = super().render(task)
+        if COMPILING.busy():
+            bar.total, bar.completed = float(USUAL_FUNCTIONS), float(COMPILING.functions)
+            bar.width = _SHORT_BAR
+            bar.pulse = COMPILING.functions > USUAL_FUNCTIONS
+        return bar
+
+
 class _Percent(TextColumn):
-    """The share done, while it is known."""
+    """The share done of the stage, while it is known and no machine code is compiled."""
 
     def render(self, task: Task) -> Text:
         """Return the text of the column."""
-        return Text("") if task.total is None else super().render(task)
+        unknown = task.total is None or COMPILING.busy()
+        return Text("") if unknown else super().render(task)
 
 
 @contextmanager
 def bar_on_terminal() -> Iterator[ProgressCall]:
     """Yield a progress call that draws a bar on standard error after one second.
 
-    A stage without a share done has a bar that only moves.
+    A stage without a share done has a bar that only moves. While machine code is compiled, the bar
+    shows the number of compiled functions.
     """
     bar = Progress(
         _Stage(),
-        BarColumn(),
+        _Bar(),
         _Percent("{task.percentage:>3.0f}%"),
         TimeElapsedColumn(),
         console=Console(file=cast("TextIO", _WhileItStands(Console(stderr=True).file))),

@@ -17,7 +17,6 @@ from importlib import import_module
 from pathlib import Path
 
 from threadline.errors import Place, PlanError
-from threadline.jobs.gcode.part_program import read_part_program
 from threadline.jobs.operations import Job, Move, MoveRun, Stop, ToolEvent
 from threadline.machine import Machine
 from threadline.machine.motion_planner import LinuxCncPlanner
@@ -166,6 +165,8 @@ def read_written(path: Path, machine: Machine, target: str) -> Job:
 
     Macros of the job are in the program, too; they move nothing in the job or in the program.
     """
+    from threadline.jobs.gcode import read_part_program
+
     without = "macros=none" if target == "klipper" else None
     return read_part_program(path, machine=machine, dialect=target, axes=without)
 

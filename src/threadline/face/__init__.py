@@ -22,7 +22,6 @@ from threadline.face.running import run
 from threadline.identify.commissioning import fit, measure, trim
 from threadline.machine import Machine
 from threadline.motion.shaping.designs import shaper
-from threadline.motion.timing.retime import retime
 from threadline.proof.option_form import Door, Word
 from threadline.proof.option_table import options_for
 from threadline.proof.request import (
@@ -36,6 +35,7 @@ from threadline.proof.request import (
 if TYPE_CHECKING:
     from threadline.files.formats import Written
     from threadline.jobs.winding.build_up import Laid
+    from threadline.motion.timing.retime import retime
     from threadline.readback.equal import Equality
     from threadline.search import Comparison
     from threadline.search.learned_job import LearnedJob, LearnedRuns
@@ -46,6 +46,15 @@ __all__ = [
     "learn", "load_machine", "measure", "prove", "retime", "run", "shaper", "trim", "tune",
     "wind", "yields",
 ]  # fmt: skip
+
+
+def __getattr__(name: str) -> object:
+    """Return ``retime``, whose planner of optimal motions few of the other functions need."""
+    if name != "retime":
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    from threadline.motion.timing.retime import retime
+
+    return retime
 
 
 @checked

@@ -11,7 +11,6 @@ from typing import Any
 
 from threadline.base.reading import open_binary
 from threadline.errors import JobError, OptionError, Place
-from threadline.jobs.gcode import read_part_program
 from threadline.jobs.gcode.dialects import dialect_of
 from threadline.jobs.operations import Job
 from threadline.machine import Machine
@@ -59,6 +58,8 @@ def read_program(
     path = Path(path)
     is_x_winder = begins_as_x_winder(path)
     if dialect_of(machine, dialect) != X_WINDER and not is_x_winder:
+        from threadline.jobs.gcode import read_part_program
+
         read = partial(
             read_part_program,
             path,

@@ -24,7 +24,6 @@ import numpy as np
 from threadline.base.arrays import FloatArray
 from threadline.errors import JobError, Place
 
-SUFFIX = ".hus"
 MOST_RECORDS = 10_000_000
 _MAGIC = 0xC8
 _HEADER = struct.Struct("<3I8x3I")

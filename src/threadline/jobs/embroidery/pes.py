@@ -21,7 +21,6 @@ from __future__ import annotations
 
 from threadline.errors import JobError, Place
 
-SUFFIXES = (".pes", ".pec")
 _PEC = b"#PEC0001"
 _OFFSET = slice(8, 12)
 _COLOURS, _RECORDS = 48, 528

@@ -6,6 +6,7 @@ import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import IntEnum
+from importlib import import_module
 from pathlib import Path
 
 import numpy as np
@@ -13,16 +14,13 @@ import numpy as np
 from threadline.base.arrays import FloatArray, IntArray
 from threadline.base.reading import open_binary
 from threadline.errors import JobError, Place
-from threadline.jobs.embroidery import hus, pes, t15, threads, vp3
 from threadline.jobs.operations import Thread
 
-_OWN_READERS: dict[str, Callable[[bytes, Place], FloatArray | list[list[float]]]] = {
-    hus.SUFFIX: hus.read_hus,
-    t15.SUFFIX: t15.read_t15,
-    **dict.fromkeys(pes.SUFFIXES, pes.read_pes),
-    vp3.SUFFIX: vp3.read_vp3,
-}
-"""Threadline's own readers, by the ending of the file; pystitch reads all other formats."""
+_OWN_READERS = {".hus": "hus", ".t15": "t15", ".pes": "pes", ".pec": "pes", ".vp3": "vp3"}
+"""Module of each of Threadline's own readers, by the ending of the file.
+
+pystitch reads all other formats. A module is imported when a file needs it.
+"""
 _PEERS = (".dst", ".exp", ".jef", ".xxx", ".u01")
 SUFFIXES = (*_PEERS, *_OWN_READERS)
 UNIT_M = 1e-4
@@ -95,13 +93,11 @@ def read_records(path: Path) -> Records:
         )
     suffix = path.suffix.lower()
     warnings = _check_dst(content, place) if suffix == ".dst" else ()
-    own_reader = _OWN_READERS.get(suffix)
     decoded: FloatArray | list[list[float]]
-    if own_reader is None:
-        decoded, thread_list = _decoded(content, suffix, place)
+    if suffix in _OWN_READERS:
+        decoded, thread_list = _read_here(content, suffix, place)
     else:
-        decoded = own_reader(content, place)
-        thread_list = threads.READERS[suffix](content, place) if suffix in threads.READERS else []
+        decoded, thread_list = _decoded(content, suffix, place)
     table = np.array(decoded, dtype=np.float64).reshape(len(decoded), 3)
     if not np.isfinite(table).all():
         raise _not_of_its_format(suffix, "a place that is not a number", place)
@@ -135,6 +131,20 @@ def sewn_units(content: bytes, suffix: str) -> IntArray:
     table = np.array(_decoded(content, suffix, Place(""))[0], dtype=np.float64).reshape(-1, 3)
     sewn = table[table[:, 2].astype(np.int64) & 0xFF == Act.STITCH, :2]
     return np.rint(sewn * (1.0, -1.0)).astype(np.int64)
+
+
+def _read_here(
+    content: bytes, suffix: str, place: Place
+) -> tuple[FloatArray | list[list[float]], list[Thread | None]]:
+    """Return x, y and code of every record, and the threads, from one of Threadline's readers."""
+    from threadline.jobs.embroidery.threads import READERS
+
+    name = _OWN_READERS[suffix]
+    reader: Callable[[bytes, Place], FloatArray | list[list[float]]] = getattr(
+        import_module(f"{__package__}.{name}"), f"read_{name}"
+    )
+    decoded = reader(content, place)
+    return decoded, READERS[suffix](content, place) if suffix in READERS else []
 
 
 def _decoded(

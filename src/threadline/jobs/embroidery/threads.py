@@ -10,7 +10,6 @@ import importlib
 from collections.abc import Callable, Iterable, Sequence
 
 from threadline.errors import Place
-from threadline.jobs.embroidery import hus, pes, vp3
 from threadline.jobs.operations import Thread
 
 _HUS_COLOURS, _HUS_COLUMN, _HUS_INDICES = slice(8, 12), slice(20, 24), 42
@@ -18,7 +17,9 @@ _HUS_COLOURS, _HUS_COLUMN, _HUS_INDICES = slice(8, 12), slice(20, 24), 42
 
 def pec_threads(content: bytes, place: Place) -> list[Thread | None]:
     """Return the threads of a PES or PEC file; index 0 of its palette is no colour."""
-    return _from_palette("EmbThreadPec", pes.palette_indices(content, place))
+    from threadline.jobs.embroidery.pes import palette_indices
+
+    return _from_palette("EmbThreadPec", palette_indices(content, place))
 
 
 def hus_threads(content: bytes, place: Place) -> list[Thread | None]:  # noqa: ARG001
@@ -32,16 +33,19 @@ def hus_threads(content: bytes, place: Place) -> list[Thread | None]:  # noqa: A
 
 def vp3_threads(content: bytes, place: Place) -> list[Thread | None]:
     """Return the threads of a VP3 file, with their names in its catalogue."""
+    from threadline.jobs.embroidery.vp3 import read_threads
+
     return [
         Thread(f"#{red:02x}{green:02x}{blue:02x}", name)
-        for (red, green, blue), name in vp3.read_threads(content, place)
+        for (red, green, blue), name in read_threads(content, place)
     ]
 
 
 READERS: dict[str, Callable[[bytes, Place], list[Thread | None]]] = {
-    **dict.fromkeys(pes.SUFFIXES, pec_threads),
-    hus.SUFFIX: hus_threads,
-    vp3.SUFFIX: vp3_threads,
+    ".pes": pec_threads,
+    ".pec": pec_threads,
+    ".hus": hus_threads,
+    ".vp3": vp3_threads,
 }
 """Readers of the threads, by the ending of the file; for files whose records were read."""
 

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from threadline.errors import JobError, Place
 
-SUFFIX = ".vp3"
 _MAGIC = b"%vsm%\x00"
 _PER_UNIT = 100
 """Steps per 0.1 mm in the centre and the start positions of blocks."""

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -17,10 +18,7 @@ from threadline.files import Stream
 from threadline.geometry.contours import Contour, DrawnLine, drop_zero_lengths, join_strokes
 from threadline.geometry.curves import join_pieces
 from threadline.geometry.offset import offset_contour
-from threadline.geometry.read_csv import read_csv
-from threadline.geometry.read_dxf import read_dxf
 from threadline.geometry.strokes import Drawing, Stroke, read_limited
-from threadline.geometry.svg import read_svg
 from threadline.jobs.operations import (
     Column,
     Dwell,
@@ -266,7 +264,12 @@ class _Needle:
 
 
 AXES = ("X", "Y")
-_READERS = {".csv": read_csv, ".dxf": read_dxf, ".svg": read_svg}
+_READERS = {
+    ".csv": ("read_csv", "read_csv"),
+    ".dxf": ("read_dxf", "read_dxf"),
+    ".svg": ("svg", "read_svg"),
+}
+"""Module of the geometry and its reader for each kind of drawing, imported when a file needs it."""
 SUFFIXES = (".seam.toml", *_READERS)
 
 
@@ -385,9 +388,12 @@ def _load(path: Path) -> tuple[SeamFile, Drawing, str]:
         digest.update(content)
     else:
         seam_file, drawn = SeamFile(drawing=path.name), path
-    reader = _READERS.get(drawn.suffix.lower())
-    if reader is None:
+    suffix = drawn.suffix.lower()
+    if suffix not in _READERS:
         raise JobError(f"{path.name!r} is no seam", remedy=f"A seam ends in {', '.join(SUFFIXES)}.")
+    module, name = _READERS[suffix]
+    reader: Callable[[bytes, str, str | None], Drawing]
+    reader = getattr(import_module(f"threadline.geometry.{module}"), name)
     # A number that overflows is not finite; ``_check_size`` refuses it with its place.
     with np.errstate(all="ignore"):
         drawing = reader(content, str(drawn), seam_file.unit)

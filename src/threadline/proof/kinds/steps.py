@@ -4,19 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 
 from threadline.base.arrays import FloatArray
 from threadline.commands.plan import Plan, Stitched
-from threadline.commands.step_files import write_dst, write_steps, write_t15, write_u01
 from threadline.commands.stitched import stitch
-from threadline.commands.write import Target
+from threadline.commands.write import Target, WrittenPlan
 from threadline.errors import OptionError, Place, PlanError
 from threadline.files import Commands, Recording, StepPlay, played
+from threadline.files.formats.common import Written
 from threadline.jobs.operations import FeedMode, Job
 from threadline.machine import Machine
-from threadline.machine.days import within
 from threadline.machine.vary import DAMPING_OF_DAYS, vary
 from threadline.motion.shaping.shaped_law import law_named
 from threadline.proof.kinds.kind import Kind
@@ -102,6 +102,8 @@ def _days(
 
 def _on_days(commands: Commands, machine: Machine, fractions: FloatArray) -> Sequence[Recording]:
     """Simulate days with damping at (k, 1) places, from 0 to 1, of the range of +-30 %."""
+    from threadline.machine.days import within  # only searches need it
+
     return [
         _simulate(commands, vary(machine, damping=factor))
         for factor in within(DAMPING_OF_DAYS, fractions[:, 0]).tolist()
@@ -115,6 +117,30 @@ def _with_criteria(spec: Spec, machine: Machine, options: Options) -> Spec:  # n
 
 def _release(plan: Plan) -> None:
     """Accept every plan: tables that cannot be played were refused during planning."""
+
+
+def _write_steps(plan: WrittenPlan, path: Path) -> list[Written]:
+    from threadline.commands.step_files import write_steps
+
+    return write_steps(plan.stitched, path)
+
+
+def _write_t15(plan: WrittenPlan, path: Path) -> list[Written]:
+    from threadline.commands.step_files import write_t15
+
+    return [write_t15(plan.stitched, path)]
+
+
+def _write_dst(plan: WrittenPlan, path: Path) -> list[Written]:
+    from threadline.commands.step_files import write_dst
+
+    return [write_dst(plan.stitched, path)]
+
+
+def _write_u01(plan: WrittenPlan, path: Path) -> list[Written]:
+    from threadline.commands.step_files import write_u01
+
+    return [write_u01(plan.stitched, path)]
 
 
 KIND = Kind(
@@ -139,9 +165,9 @@ KIND = Kind(
         )
     },
     targets={
-        "steps": Target(write=lambda plan, path: write_steps(plan.stitched, path)),
-        "t15": Target(write=lambda plan, path: [write_t15(plan.stitched, path)]),
-        "dst": Target(write=lambda plan, path: [write_dst(plan.stitched, path)]),
-        "u01": Target(write=lambda plan, path: [write_u01(plan.stitched, path)]),
+        "steps": Target(write=_write_steps),
+        "t15": Target(write=_write_t15),
+        "dst": Target(write=_write_dst),
+        "u01": Target(write=_write_u01),
     },
 )  # fmt: skip
