@@ -45,7 +45,7 @@ def test_pages_are_asked_for_once(tmp_path: Path) -> None:
         return  # other C libraries manage memory in other ways
     assert resource.getpagesize() <= 1 << 16
     job = tmp_path / "there-and-back.prg"
-    job.write_text("G91\nG1 X5 F1000\nG1 X-5\nM30\n", encoding="utf-8")
+    job.write_text("G91\nG1 X20 F1000\nG1 X-20\nM30\n", encoding="utf-8")
     ran = subprocess.run(
         [sys.executable, "-c", FAULTS, str(job)],
         cwd=ROOT, capture_output=True, text=True, check=True,

@@ -26,7 +26,6 @@ from threadline.machine import Machine
 from threadline.proof.kinds.kind import WRITING, Share
 from threadline.proof.pipeline import Proof, with_shaping
 from threadline.proof.pipeline import prove as prove_job
-from threadline.proof.proof_file import write_proof, write_worst, write_worst_beside
 from threadline.proof.recorded import warnings_of
 from threadline.proof.request import Words
 from threadline.report.lines import about
@@ -101,13 +100,12 @@ def prove(
                 # A recording is a recipe: writing it simulates that run again.
                 reported = Share(proof.plan, progress, 1, WRITING).of([proof.recording])
                 write_recording(reported[0], recording, plot_every=plot_every(chosen))
-            if proof_file is not None:
-                write_proof(proof, proof_file, key)
-            if worst is not None:
-                write_worst(proof, worst)
+            if proof_file is not None or worst is not None:
+                _write_files(proof, proof_file, key, worst)
             written = None
             if report is not None:
                 # Searches take a while to load, and most proofs have no report.
+                from threadline.proof.proof_file import write_worst_beside
                 from threadline.report.proof import write_report
                 from threadline.search.report_data import report_data
 
@@ -143,6 +141,18 @@ def prove(
             ):
                 say(line)
     raise typer.Exit(0 if proof.verdict.passed else 1)
+
+
+def _write_files(
+    proof: Proof, proof_file: Path | None, key: bytes | None, worst: Path | None
+) -> None:
+    """Write the proof file and the file of the worst machine, where they are asked for."""
+    from threadline.proof.proof_file import write_proof, write_worst
+
+    if proof_file is not None:
+        write_proof(proof, proof_file, key)
+    if worst is not None:
+        write_worst(proof, worst)
 
 
 def worst_product(proof: Proof) -> str:
