@@ -225,7 +225,7 @@ class StitchRun:
         most_m_s2 = largest_acceleration(self.plan.machine.axes[axis])
         most_m = 0.5 * most_m_s2 * interval_s**2
         why = (
-            f"beside one of them the frame may be {1e3 * most_m:.4g} mm farther away, at the "
+            f"between two of them the frame may be {1e3 * most_m:.4g} mm farther away, at the "
             f"{most_m_s2:.4g} m/s^2 of the machine file"
         )
         return Hidden(load.name, interval_s, most_m, why)
