@@ -119,7 +119,8 @@ def pytest_xdist_auto_num_workers(config: pytest.Config) -> Generator[None, int,
 
 def _waits(item: pytest.Item) -> bool:
     """Return whether a test waits for machines that move in real time."""
-    return item.nodeid.startswith("tests/live/") or item.get_closest_marker("waits") is not None
+    live = item.nodeid.startswith("tests/live/") and "/store/" not in item.nodeid
+    return live or item.get_closest_marker("waits") is not None
 
 
 def pytest_collection(session: pytest.Session) -> None:

@@ -25,6 +25,15 @@ def test_rooms_stand_in_their_order() -> None:
     assert [set(row) for row in rows] == wanted
 
 
+def test_tests_stand_in_the_folder_of_their_room() -> None:
+    """CONTRIBUTING names the other folders."""
+    text = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
+    _, _, others = text.partition("A folder of `tests/` has the name of its room.")
+    rooms = {room.name for room in (ROOT / "src" / "threadline").iterdir()}
+    folders = {file.parent.name for file in (ROOT / "tests").glob("*/__init__.py")}
+    assert folders - rooms == set(re.findall(r"`(\w+)/`", others.partition("\n\n")[0]))
+
+
 def test_a_file_name_stands_for_one_thing() -> None:
     """The page names all file names that several rooms share, and no others."""
     page = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tests.path.builders import job_of
+from tests.motion.path.builders import job_of
 from threadline.commands.plan import Following
 from threadline.errors import OptionError
 from threadline.jobs.operations import Feed, FeedMode

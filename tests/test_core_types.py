@@ -65,9 +65,10 @@ def test_tests_independent_of_the_kernel_are_left_out(tmp_path: Path):
     )
     for name in (*NUMERICS, "panel"):
         (tmp_path / "tests" / name).mkdir(parents=True)
-    for file in ("tests/panel/test_page.py", "tests/laws/test_b.py"):
-        (tmp_path / file).write_text(case)
-    of_laws = "tests/laws/test_b.py::test_"
+    for file in ("panel/test_page.py", "commands/plc/test_scans.py", "motion/laws/test_b.py"):
+        (tmp_path / "tests" / file).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / "tests" / file).write_text(case)
+    of_laws = "tests/motion/laws/test_b.py::test_"
     for long, names in (
         (False, ("plain", "interpreter")),
         (True, ("plain", "interpreter", "breadth")),

@@ -19,9 +19,9 @@ from pathlib import Path
 import pytest
 from matplotlib.figure import Figure
 
+from tests.commands.plc.parts import read_in_parts
+from tests.commands.plc.reading import code_of
 from tests.jobs.controls_themselves import interpreted
-from tests.plc.parts import read_in_parts
-from tests.plc.reading import code_of
 from threadline.base.wording import json_line, nc_comment, plain, st_comment, toml_string
 from threadline.commands.intents import Scheduled
 from threadline.commands.nc import part_program_lines

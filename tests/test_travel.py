@@ -19,8 +19,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import threadline
-from tests.path.builders import job_of, polylines, there_and_back
-from tests.signals.makers import recording_of, table_of
+from tests.files.makers import recording_of, table_of
+from tests.motion.path.builders import job_of, polylines, there_and_back
 from tests.with_firmware import winder_with_grbl
 from threadline.commands.feedforward import followed_by_loads
 from threadline.commands.planned_job import planned_job

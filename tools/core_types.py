@@ -26,26 +26,23 @@ from tempfile import TemporaryFile
 
 ROOT = Path(__file__).resolve().parent.parent
 NUMERICS = (
-    "control",
+    "commands",
+    "dynamics",
+    "files",
     "identify",
-    "jobs_winding",
-    "laws",
+    "jobs/winding",
+    "motion",
     "onoff",
-    "path",
-    "plant",
-    "plant_analysis",
     "search",
-    "shaping",
-    "signals",
     "stitching",
-    "targets",
     "tension",
-    "trajectory",
     "twin",
     "verdict",
     "winding",
 )
 """Folders of tests whose outcome could hang on rounding in linear algebra."""
+WITHOUT = ("commands/plc",)
+"""Folders below them whose outcome could not."""
 ON_LINUXCNC = "linuxcnc and waits"
 """Tests that wait for LinuxCNC's own planner in real time. What Threadline computes in them is
 computed in tests beside them, too."""
@@ -91,7 +88,10 @@ def words_for(*, long: bool, workers: int) -> tuple[str, ...]:
     A run with one worker is one process. Several take from each other what is left.
     """
     spread = ("-n", str(workers), "--dist", "worksteal") if workers > 1 else ("-p", "no:xdist")
-    left_out = ("-m", f"not ({ON_LINUXCNC})")
+    left_out = (
+        *("-m", f"not ({ON_LINUXCNC})"),
+        *(f"--ignore=tests/{name}" for name in WITHOUT),
+    )
     folders = tuple(f"tests/{name}" for name in NUMERICS)
     return ("-q", *spread, *(() if long else ("--without-long",)), *left_out, *folders)
 

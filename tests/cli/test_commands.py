@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.blank_pictures import blank_pictures
 
+from tests.blank_pictures import blank_pictures
 from threadline.cli.main import main
 from threadline.face import compile as compile_job
 from threadline.files.formats import read_recording

@@ -7,8 +7,8 @@ import shlex
 from pathlib import Path
 
 import pytest
-from tests.test_limits_alone import files as limits_alone
 
+from tests.test_limits_alone import files as limits_alone
 from threadline.cli.main import main
 
 pytestmark = pytest.mark.usefixtures("coarse_search")

@@ -11,9 +11,9 @@ from types import SimpleNamespace
 from typing import Any, cast
 
 import pytest
-from tests.blank_pictures import blank_pictures
 
 import threadline.cli.design as command
+from tests.blank_pictures import blank_pictures
 from threadline.cli.main import main
 from threadline.errors import OptionError
 from threadline.machine import load_machine

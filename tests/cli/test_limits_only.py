@@ -7,9 +7,9 @@ import re
 from pathlib import Path
 
 import pytest
+
 from tests.cli.test_commands import run
 from tests.machine.test_firmware import FLUIDNC, GRBL, KLIPPER, MARLIN
-
 from threadline.machine import load_machine
 from threadline.machine.firmware import machine_text, parse_answers, read_settings
 

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.cli.test_commands import run
 
+from tests.cli.test_commands import run
 from threadline.files import ChannelKind
 from threadline.files.formats import read_recording
 

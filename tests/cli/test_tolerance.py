@@ -8,8 +8,8 @@ import shlex
 from pathlib import Path
 
 import pytest
-from tests.with_firmware import winder_with_grbl_file
 
+from tests.with_firmware import winder_with_grbl_file
 from threadline.cli.main import main
 from threadline.motion.path import interpolation_names
 from threadline.motion.path.interpolations import KEEPING_TOLERANCE

@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 from tools import validation
 
-from tests.path.test_interpolations_document import row_is_of
+from tests.motion.path.test_interpolations_document import row_is_of
 from threadline.commands.plan import Plan
 from threadline.jobs import read_job
 from threadline.machine import load_machine
@@ -106,7 +106,7 @@ def test_the_validation_has_the_figures_that_the_command_answers() -> None:
 
 
 @pytest.mark.long(
-    shown_by="tests/path/test_interpolations_document.py::test_a_row_says_what_the_planner_does"
+    shown_by="tests/motion/path/test_interpolations_document.py::test_a_row_says_what_the_planner_does"
 )
 @pytest.mark.usefixtures("planned_once")
 def test_the_row_of_optimal_says_what_the_planner_does() -> None:

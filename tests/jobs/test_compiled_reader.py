@@ -9,8 +9,8 @@ from unittest.mock import patch
 
 import numpy as np
 import pytest
-from tests.jobs.test_part_program import MACHINE, moves, read
 
+from tests.jobs.test_part_program import MACHINE, moves, read
 from threadline.errors import InputError
 from threadline.jobs import Move, read_job
 from threadline.jobs.gcode import plain_blocks

@@ -9,6 +9,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import pytest
+
 from tests.conftest import NO_FIRMWARE
 from tests.jobs import controls_themselves as themselves
 from tests.jobs.controls_themselves import Line, Point, Told
@@ -16,7 +17,6 @@ from tests.jobs.fluidnc_itself import build_fluidnc, fluidnc_folder
 from tests.jobs.made_machines import made_machine
 from tests.jobs.random_blocks import random_blocks, random_commands
 from tests.jobs.random_parametric import random_parametric
-
 from threadline.errors import InputError
 from threadline.jobs import Dwell, FeedMode, Move, read_job
 from threadline.machine import Machine

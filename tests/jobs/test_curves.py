@@ -11,10 +11,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+
 from tests.jobs.controls_themselves import interpreted
 from tests.jobs.in_dialects import millimetres, moves, read
 from tests.jobs.made_machines import made_machine
-
 from threadline.errors import JobError
 from threadline.jobs import read_job
 from threadline.jobs.gcode.curves import TOLERANCE_MM

@@ -10,9 +10,9 @@ from unittest.mock import patch
 
 import numpy as np
 import pytest
+
 from tests.jobs.in_dialects import millimetres, moves, numbered, read
 from tests.jobs.made_machines import made_machine
-
 from threadline.commands.boards import working_words
 from threadline.errors import InputError, JobError, OptionError
 from threadline.jobs import Dwell, FeedMode, Job, Move, Stop, ToolEvent

@@ -10,8 +10,8 @@ from pathlib import Path
 from unittest.mock import patch
 
 import pytest
-from tests.jobs.controls_themselves import interpreted
 
+from tests.jobs.controls_themselves import interpreted
 from threadline.errors import MachineError, OptionError
 from threadline.jobs import Job, Move, read_job
 from threadline.jobs.feed_times import programmed_time_s

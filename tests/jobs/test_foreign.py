@@ -11,8 +11,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.jobs.made_machines import made_machine
 
+from tests.jobs.made_machines import made_machine
 from threadline.errors import InputError, JobError, OptionError
 from threadline.jobs import Dwell, Job, Move, read_job
 from threadline.jobs.feed_times import programmed_time_s

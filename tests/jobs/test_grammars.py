@@ -7,10 +7,10 @@ from pathlib import Path
 from unittest.mock import patch
 
 import pytest
+
 from tests.jobs.in_dialects import millimetres, moves, numbered, read
 from tests.jobs.made_machines import made_machine
 from tests.jobs.random_blocks import random_blocks, random_commands
-
 from threadline.errors import InputError, JobError
 from threadline.jobs import Dwell, Move, Stop
 from threadline.jobs.gcode.plain_blocks import PlainReader

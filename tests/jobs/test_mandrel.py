@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.jobs.made_machines import made_machine
 
+from tests.jobs.made_machines import made_machine
 from threadline.cli.main import main
 from threadline.commands.plan import Plan
 from threadline.errors import MachineError, OptionError

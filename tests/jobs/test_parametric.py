@@ -10,9 +10,9 @@ import pickle
 from pathlib import Path
 
 import pytest
+
 from tests.jobs.in_dialects import millimetres, read
 from tests.jobs.made_machines import made_machine
-
 from threadline.errors import InputError
 from threadline.jobs import Dwell
 from threadline.jobs.gcode.parametric import course

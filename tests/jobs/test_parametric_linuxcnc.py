@@ -8,11 +8,11 @@ import shutil
 from pathlib import Path
 
 import pytest
+
 from tests.jobs.controls_themselves import interpreted
 from tests.jobs.in_dialects import millimetres
 from tests.jobs.made_machines import made_machine
 from tests.jobs.random_parametric import random_parametric
-
 from threadline.errors import JobError
 from threadline.jobs import read_job
 from threadline.machine import Machine

@@ -5,9 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+
 from tests.jobs.in_dialects import millimetres, read
 from tests.jobs.made_machines import made_machine
-
 from threadline.errors import JobError
 from threadline.machine import Machine
 

@@ -7,8 +7,8 @@ import math
 from pathlib import Path
 
 import pytest
-from tests.jobs.made_machines import made_machine
 
+from tests.jobs.made_machines import made_machine
 from threadline.cli.main import main
 from threadline.errors import MachineError, OptionError
 from threadline.jobs import read_job

@@ -10,9 +10,9 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+
 from tests.jobs.in_dialects import millimetres, read
 from tests.jobs.made_machines import made_machine
-
 from threadline.cli.main import main
 from threadline.errors import InputError
 from threadline.jobs import FeedMode, Move, read_job

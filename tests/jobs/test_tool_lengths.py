@@ -12,10 +12,10 @@ import shutil
 from pathlib import Path
 
 import pytest
+
 from tests.jobs.controls_themselves import interpreted
 from tests.jobs.in_dialects import millimetres, read
 from tests.jobs.made_machines import made_machine
-
 from threadline.errors import InputError, JobError
 from threadline.jobs import Dwell, Move, ToolEvent
 from threadline.machine import Machine

@@ -9,8 +9,8 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from tests.jobs.made_machines import made_machine
 
+from tests.jobs.made_machines import made_machine
 from threadline.errors import InputError, JobError
 from threadline.jobs import Dwell, Job, Move, Stop, read_job
 from threadline.machine import Machine

@@ -8,11 +8,11 @@ import shutil
 from pathlib import Path
 
 import pytest
+
+import threadline as tl
 from tests.jobs.controls_themselves import interpreted
 from tests.jobs.in_dialects import millimetres, read
 from tests.jobs.made_machines import made_machine
-
-import threadline as tl
 from threadline.errors import JobError, MachineError, PlanError
 from threadline.machine import Machine
 from threadline.machine.firmware.linuxcnc_ini import read_linuxcnc

@@ -7,8 +7,8 @@ import re
 from pathlib import Path
 
 import pytest
-from tests.jobs.made_machines import made_machine
 
+from tests.jobs.made_machines import made_machine
 from threadline.errors import JobError
 from threadline.jobs import Job, Move, Stop, read_job
 from threadline.jobs.feed_times import programmed_time_s

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.jobs_winding.test_sheet import BAND, MANDREL, run
+from tests.jobs.winding.test_sheet import BAND, MANDREL, run
 from threadline.errors import JobError
 from threadline.jobs.winding.build_up import design, rings_of
 from threadline.jobs.winding.layers import read_layers

@@ -9,11 +9,11 @@ from pathlib import Path
 
 import pytest
 
+from tests.commands.plc.driving import homed
+from tests.commands.plc.machine import Plc
+from tests.commands.plc.parts import read_in_parts
+from tests.commands.plc.stuck import forbidden
 from tests.onoff.cycles import run
-from tests.plc.driving import homed
-from tests.plc.machine import Plc
-from tests.plc.parts import read_in_parts
-from tests.plc.stuck import forbidden
 from threadline.commands.structured_text import structured_text
 from threadline.errors import JobError, PlanError
 from threadline.jobs import read_job

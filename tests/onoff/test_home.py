@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.plc.driving import Bench
-from tests.plc.machine import Plc
-from tests.plc.parts import read_in_parts
-from tests.plc.pistons import Cell
-from tests.plc.stuck import forbidden
+from tests.commands.plc.driving import Bench
+from tests.commands.plc.machine import Plc
+from tests.commands.plc.parts import read_in_parts
+from tests.commands.plc.pistons import Cell
+from tests.commands.plc.stuck import forbidden
 from threadline.cli.main import main
 from threadline.commands.plc_watch import home_order, home_places
 from threadline.commands.schedule_moves import home_stage

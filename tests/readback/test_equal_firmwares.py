@@ -10,9 +10,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.conftest import NO_FIRMWARE
 
 import threadline as tl
+from tests.conftest import NO_FIRMWARE
 from threadline.machine import load_machine
 from threadline.readback import grbl_steps, klipper_host, marlin_steps
 from threadline.readback.stepped import Steps, beside

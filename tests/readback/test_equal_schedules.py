@@ -7,11 +7,11 @@ import shutil
 from pathlib import Path
 
 import pytest
-from tests.plc.driving import Bench
-from tests.plc.machine import Plc
-from tests.plc.texts import units_of
 
 import threadline as tl
+from tests.commands.plc.driving import Bench
+from tests.commands.plc.machine import Plc
+from tests.commands.plc.texts import units_of
 from threadline.errors import InputError
 from threadline.readback.equal import Equal
 from threadline.readback.equal_schedule import Controller

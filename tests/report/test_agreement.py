@@ -10,8 +10,8 @@ from typing import Any
 
 import pytest
 from pypdf import PdfReader
-from tests.blank_pictures import blank_pictures
 
+from tests.blank_pictures import blank_pictures
 from threadline.cli.main import main
 from threadline.cli.prove import show_proof
 from threadline.machine import load_machine

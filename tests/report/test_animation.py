@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 from matplotlib.animation import FFMpegWriter
 from PIL import Image
-from tests.cli.test_commands import run
-from tests.test_limits_alone import files as limits_alone
 
 import threadline as tl
+from tests.cli.test_commands import run
+from tests.test_limits_alone import files as limits_alone
 from threadline.proof.pipeline import Proof
 from threadline.report import scenes
 from threadline.report.animation import page_data, write_animation

@@ -6,8 +6,7 @@ from dataclasses import replace
 from math import ceil
 from types import SimpleNamespace
 
-from tests.targets.makers import job_of, polynomials, winder
-
+from tests.commands.makers import job_of, polynomials, winder
 from threadline.commands.ticks import compile_ticks
 from threadline.jobs import read_job
 from threadline.jobs.operations import Feed, FeedMode, Move, Source

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import pytest
-from tests.search.plans import JOB
 
+from tests.search.plans import JOB
 from threadline.commands.plan import Plan
 from threadline.machine import load_machine
 from threadline.proof.options import Options

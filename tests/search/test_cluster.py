@@ -14,9 +14,9 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
+
 from tests.search.dying import Deadly
 from tests.search.fleet import Fleet
-
 from threadline.base import cluster as of_cluster
 from threadline.base.cluster import Cluster, parse_cluster
 from threadline.cli.main import main

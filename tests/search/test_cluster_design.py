@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.search.fleet import ROOT, Fleet
 
 import threadline as tl
+from tests.search.fleet import ROOT, Fleet
 from threadline.base.cluster import Cluster, on_cluster
 from threadline.errors import JobError, OptionError
 from threadline.machine import load_machine

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tests.search.test_switched_commands import SCAN_S
 
+from tests.search.test_switched_commands import SCAN_S
 from threadline.cli.main import main
 from threadline.commands.intents import Scheduled
 from threadline.errors import PlanError

@@ -6,8 +6,8 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from tests.search.test_cycle import run
 
+from tests.search.test_cycle import run
 from threadline.jobs import Job, read_job
 from threadline.machine import Machine, load_machine
 from threadline.proof.options import Options

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 from scipy.stats import binomtest
-from tests.blank_pictures import blank_pictures
 
+from tests.blank_pictures import blank_pictures
 from threadline.cli import design as command
 from threadline.cli.main import main
 from threadline.machine import load_machine

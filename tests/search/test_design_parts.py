@@ -9,8 +9,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from tests.search.test_design_front import CLOSE, QUICK, TURN
 
+from tests.search.test_design_front import CLOSE, QUICK, TURN
 from threadline.cli.main import main
 from threadline.search import design as of_search
 from threadline.search import design_parts

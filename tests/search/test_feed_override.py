@@ -16,9 +16,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tests.jobs.made_machines import made_machine
 
 import threadline as tl
+from tests.jobs.made_machines import made_machine
 from threadline.cli.fastest_output import FeedOutput
 from threadline.cli.main import main
 from threadline.commands.plan import Plan

@@ -12,10 +12,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tests.jobs.made_machines import made_machine
-from tests.search.test_fastest import verdict
 from tools import long_winding
 
+from tests.jobs.made_machines import made_machine
+from tests.search.test_fastest import verdict
 from threadline.cli.main import main
 from threadline.cli.search_text import settings_words
 from threadline.commands.plan import Plan

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.search.plans import JOB
 
+from tests.search.plans import JOB
 from threadline.cli.main import main
 from threadline.commands.plan import Plan
 from threadline.files import tick_table

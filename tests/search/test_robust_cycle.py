@@ -10,9 +10,9 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
-from tests.blank_pictures import blank_pictures
 
 import threadline.machine
+from tests.blank_pictures import blank_pictures
 from threadline.cli.fastest_cycle import robust_lines
 from threadline.cli.fastest_output import show
 from threadline.cli.main import main

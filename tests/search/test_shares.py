@@ -6,10 +6,10 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+
 from tests.jobs.made_machines import made_machine
 from tests.search.test_fastest import verdict
 from tests.search.test_long_jobs import winding_blocks, written
-
 from threadline.base.progress import Progress, TrialShares
 from threadline.cli.search_text import resolution_words, settings_words
 from threadline.errors import LimitError

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.search.test_design import CORNER, NO_REGION, PLACE, two_parameters
 
+from tests.search.test_design import CORNER, NO_REGION, PLACE, two_parameters
 from threadline.base.arrays import FloatArray, IntArray
 from threadline.cli.main import main
 from threadline.commands.plan import Plan

@@ -15,8 +15,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tests.search.plans import JOB
 
+from tests.search.plans import JOB
 from threadline.cli import yield_sharing as of_command
 from threadline.cli.main import main
 from threadline.errors import OptionError, RecordingError

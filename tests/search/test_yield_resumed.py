@@ -16,9 +16,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+
 from tests.live.kill_bench import child
 from tests.search.plans import JOB
-
 from threadline.cli.main import main
 from threadline.commands.plan import Plan
 from threadline.errors import OptionError, RecordingError

@@ -10,6 +10,7 @@ from fractions import Fraction
 
 import numpy as np
 from scipy.integrate import solve_ivp
+
 from tests.dop853 import state_after
 
 J, M, BM, BH, RP, K, C = 2e-4, 1.5, 1e-3, 4.0, 0.012, 2e4, 15.0

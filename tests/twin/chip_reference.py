@@ -15,6 +15,7 @@ from math import isqrt
 
 import numpy as np
 from scipy.optimize import brentq
+
 from tests.dop853 import state_after
 
 FILTER, REFERENCE, DELAY = Fraction(136, 10**6), Fraction(1, 1000), Fraction(3, 1000)

@@ -12,8 +12,8 @@ from math import ceil
 import numpy as np
 from scipy.linalg import expm
 from scipy.optimize import brentq
-from tests.twin.reference_parts import Belt, Friction, Motor, Part, Play, Watch
 
+from tests.twin.reference_parts import Belt, Friction, Motor, Part, Play, Watch
 from threadline.machine import Machine
 
 PER_RATE = 8.0

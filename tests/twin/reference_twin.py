@@ -13,8 +13,8 @@ from dataclasses import dataclass, field
 from fractions import Fraction
 
 import numpy as np
-from tests.twin.reference_plant import Plant
 
+from tests.twin.reference_plant import Plant
 from threadline.machine import Machine
 
 ROUND = {"nearest": np.rint, "floor": np.floor, "truncate": np.trunc}

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from tests.control.in_one_piece import feed_forward, smooth_motion
 
+from tests.dynamics.in_one_piece import feed_forward, smooth_motion
 from threadline.dynamics.preview import AxisPreview
 from threadline.errors import MachineError
 from threadline.machine.load import load_machine

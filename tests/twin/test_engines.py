@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from tests.path.builders import job_of
 
+from tests.motion.path.builders import job_of
 from threadline.dynamics.values import Values
 from threadline.files import tick_table
 from threadline.machine import load_machine

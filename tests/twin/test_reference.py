@@ -12,8 +12,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.made import read_once
 
+from tests.made import read_once
 from threadline.machine import Machine
 from threadline.machine.load import load_machine
 from threadline.twin import simulate

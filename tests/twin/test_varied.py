@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from tests.machine.test_variants import with_one_at_end
 
+from tests.machine.test_variants import with_one_at_end
 from threadline.dynamics.linear_model import linear_model
 from threadline.dynamics.network import piecewise_linear
 from threadline.dynamics.values import Values
