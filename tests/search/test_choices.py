@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -34,7 +35,7 @@ from threadline.search.choices import (
 )
 from threadline.search.deadline import Deadline
 from threadline.search.least_times import least_on_any_path, shortened_way
-from threadline.search.paced import Question
+from threadline.search.paced import Effort, Question, searching_with
 from threadline.search.question import question_of
 from threadline.verdict import Result, Status, Verdict, load_spec
 from threadline.verdict.contour import POINT_MISSED
@@ -172,11 +173,10 @@ def test_a_way_to_and_fro_is_bound_by_what_its_drive_gives() -> None:
 
 
 @pytest.fixture
-def few(monkeypatch: pytest.MonkeyPatch) -> None:
+def few() -> Iterator[None]:
     """Let the search try four plans."""
-    monkeypatch.setattr(chosen_plans, "_STEPS", 3)
-    monkeypatch.setattr(chosen_plans, "_LEAST_PLANS", 3)
-    monkeypatch.setattr(chosen_plans, "_MOST_PLANS", 3)
+    with searching_with(Effort(steps=3, least_plans=3, most_plans=3)):
+        yield
 
 
 @pytest.mark.usefixtures("few")
