@@ -43,6 +43,9 @@ class Effort:
         several follow.
     finest
         No grid of a search by pace has more feeds than this one; None: no grid is limited.
+    command_shares
+        With a band of modes: shares of the limit of the ringing that a single command may use; the
+        rest is for the ringing of earlier moves.
     steps
         Number of plans of ``optimal`` between the careful and the bold end of its choices.
     least_plans, most_plans
@@ -51,6 +54,7 @@ class Effort:
 
     shares: tuple[float, ...] = (1.0, 0.5, 0.25, 0.125, 0.0625, 0.03125)
     finest: Grid | None = None
+    command_shares: tuple[float, ...] = (1.0, 0.9, 0.8, 0.65, 0.5)
     steps: int = 6
     least_plans: int = 12
     most_plans: int = 240
