@@ -153,7 +153,7 @@ def test_a_climb_comes_to_the_worst_of_all_corners(tmp_path: Path) -> None:
     machine = load_machine(file)
     plan = plan_job(open_job(JOB, machine, Options()), machine, Options())
     study = Made(plan, load_spec(None, machine))
-    weights = np.array([0.01, 0.02, 0.03, 0.03, 0.03, 0.03])
+    weights = np.array([0.03, 0.04, 0.03, 0.03, 0.03, 0.03])
     study.share_at = lambda parts: 0.5 + parts @ weights - 0.1 * parts[:, 0] * parts[:, 1]
     assert len(study.numbers) == 6
     found = study.worst()
