@@ -321,6 +321,7 @@ def test_figures_that_nobody_asks_for_are_left_out(monkeypatch: pytest.MonkeyPat
     (whole,) = StitchFollower(setting, 0.0).feed(block)
     (placed,) = StitchFollower(setting, 0.0, figures=("placement",)).feed(block)
     (swift,) = StitchFollower(setting, 0.0, figures=("speed",)).feed(block)
+    # Only a call that is not there shows that a figure is not computed: the result lacks it anyway.
     monkeypatch.setattr(StitchFollower, "_speeds", None)
     monkeypatch.setattr(StitchFollower, "_placed", None)
     (plain,) = StitchFollower(setting, 0.0, figures=("length",)).feed(block)
