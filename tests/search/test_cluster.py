@@ -266,9 +266,9 @@ def test_machines_that_end_every_worker_are_not_tried_for_ever(
 @pytest.mark.parametrize("late", [False, True])
 def test_a_worker_of_another_version_is_refused_by_name(
     late: bool, name: str, told: str, job: Path, said: Said, fleet: Fleet,
-    monkeypatch: pytest.MonkeyPatch,
+    submitted: list[tuple[Any, ...]], monkeypatch: pytest.MonkeyPatch,
 ) -> None:  # fmt: skip
-    """This holds at the beginning, and for a worker that joins later."""
+    """This holds at the beginning, before anything is sent, and for a worker that joins later."""
     own = of_cluster.versions()
     # Workers take the function by its name, which is the name of the real function.
     monkeypatch.setattr(of_cluster, "versions", lambda: {**own, name: told})
@@ -279,6 +279,7 @@ def test_a_worker_of_another_version_is_refused_by_name(
     assert (code, out, err.count("\n")) == (2, "", 1), err
     assert re.search(rf"worker tcp://127\.0\.0\.1:\d+ of .* has {name} .* instead of {told}", err)
     assert "requirements/cluster.txt" in err
+    assert bool(submitted) is late
 
 
 def test_a_worker_that_rounds_otherwise_is_refused(
