@@ -215,29 +215,30 @@ def nothing_said_of_compiling() -> Iterator[None]:
         yield
 
 
+COARSE_GRID: dict[str, Any] = {"points": 8, "near": 1, "inside": 2, "beside": (-3, 3)}
+
+
 @pytest.fixture
-def coarse_scan(monkeypatch: pytest.MonkeyPatch) -> None:
+def coarse_scan() -> Iterator[None]:
     """Let a search for the fastest feed try a tenth as many feeds at each share of the limits.
 
     For tests that use its answer; ``tests/search`` tests the answer itself.
     """
-    from threadline.search import fastest
-    from threadline.search import feed_ranges as edges
+    from threadline.search.fastest import Grid
+    from threadline.search.paced import Effort, searching_with
 
-    spaced: Any = fastest._spaced
-    finer: Any = fastest._with_more_feeds
-    monkeypatch.setattr(fastest, "_spaced", lambda *of: spaced(*of[:2], min(of[2], 8)))
-    monkeypatch.setattr(fastest, "_with_more_feeds", lambda *of: finer(*of[:2], min(of[2], 1)))
-    monkeypatch.setattr(edges, "INSIDE", 2)
-    monkeypatch.setattr(edges, "_BESIDE", (-3, 3))
+    with searching_with(Effort(finest=Grid(**COARSE_GRID))):
+        yield
 
 
 @pytest.fixture
-def coarse_search(coarse_scan: None, monkeypatch: pytest.MonkeyPatch) -> None:
+def coarse_search() -> Iterator[None]:
     """Let such a search also try only two shares of the limits."""
-    from threadline.search import least_limits as gentle
+    from threadline.search.fastest import Grid
+    from threadline.search.paced import Effort, searching_with
 
-    monkeypatch.setattr(gentle, "_LADDER", (1.0, 0.25))
+    with searching_with(Effort(shares=(1.0, 0.25), finest=Grid(**COARSE_GRID))):
+        yield
 
 
 @pytest.fixture

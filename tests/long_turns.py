@@ -9,7 +9,7 @@ import struct
 import sys
 from contextlib import suppress
 
-_CALL = {"x86_64": 314, "aarch64": 274}.get(platform.machine())
+_CALLS = {"x86_64": 314, "aarch64": 274}
 """Number of Linux's call ``sched_setattr``; a kernel since 6.12 heeds the turn that it asks for."""
 _SIZE, _USUAL_POLICY, _NOT_FOR_CHILDREN = 48, 0, 1
 LONG_S = 0.04
@@ -27,12 +27,13 @@ def ask_for_turns(seconds: float) -> bool:
     seconds
         0 for the usual turns, some milliseconds.
     """
-    if sys.platform != "linux" or _CALL is None:
+    call = _CALLS.get(platform.machine())
+    if sys.platform != "linux" or call is None:
         return False
     nice = os.getpriority(os.PRIO_PROCESS, 0)
     asked = struct.pack(
         "=IIQiIQQQ", _SIZE, _USUAL_POLICY, _NOT_FOR_CHILDREN, nice, 0, round(seconds * 1e9), 0, 0
     )
     with suppress(OSError, AttributeError):
-        return bool(ctypes.CDLL(None).syscall(_CALL, 0, asked, 0) == 0)
+        return bool(ctypes.CDLL(None).syscall(call, 0, asked, 0) == 0)
     return False

@@ -123,6 +123,7 @@ def test_functions_are_compiled_each_time_without_a_writable_folder(
     """numba's own decorator ends with an error there: the file system of a container, say."""
     (tmp_path / "a file").write_text("")
     monkeypatch.setattr("numba.config.CACHE_DIR", str(tmp_path / "a file" / "numba"))
+    # numba would write beside the module or into the home of the user, which this user may.
     monkeypatch.setattr("numba.core.caching.CacheImpl._locator_classes", [UserProvidedCacheLocator])
     monkeypatch.setattr(COMPILING, "kept", True)
     assert njit()(lambda x: 2.0 * x)(1.5) == 3.0

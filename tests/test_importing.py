@@ -45,7 +45,7 @@ def test_a_process_begins_without_looking_for_garbage() -> None:
     "starts", [hal_process, sim_process, calculation, kept_traces, owner_process]
 )
 def test_the_processes_of_runs_and_of_the_panel_begin_so(starts: ModuleType) -> None:
-    assert starts._CHILD.startswith("from threadline.base.importing import imported; ")
+    assert starts.CHILD.startswith("from threadline.base.importing import imported; ")
 
 
 _PROVE = """

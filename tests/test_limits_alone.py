@@ -22,7 +22,7 @@ from threadline.machine import Machine, load_machine
 from threadline.proof.options import Options
 from threadline.proof.pipeline import REPEATED, TOLERANCES, Proof, prove, yielding
 from threadline.report.lines import feed_lines
-from threadline.search import chosen_plans, least_limits
+from threadline.search.paced import Effort, searching_with
 from threadline.verdict import Status, closing, load_spec
 from threadline.verdict.types import Level
 
@@ -303,13 +303,13 @@ def test_trials_of_other_machines_are_refused_from_python(tmp_path: Path) -> Non
 
 
 def test_the_fastest_optimal_plan_is_that_of_the_limits(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Without loops, a contour, a reserve or feed-forward would have no meaning."""
-    monkeypatch.setattr(chosen_plans, "_LEAST_PLANS", 2)
-    monkeypatch.setattr(chosen_plans, "_MOST_PLANS", 2)
     file, job = files(tmp_path, "G1 X100 F600")
-    code, out, _ = run(capsys, "fastest", job, "-m", file, "--interpolation", "optimal", "--json")
+    words = ["fastest", job, "-m", file, "--interpolation", "optimal", "--json"]
+    with searching_with(Effort(least_plans=2, most_plans=2)):
+        code, out, _ = run(capsys, *words)
     found = json.loads(out)
     assert code == 0 and found["verdict"]["level"] == "limits and time alone"
     assert not {"--contour", "--reserve", "--feed-forward"} & set(found["command"].split())
@@ -383,9 +383,7 @@ def test_a_proof_of_limits_alone_is_not_verified_as_in_spec(
 
 @pytest.mark.long(shown_by="test_the_fastest_optimal_plan_is_that_of_the_limits")
 @pytest.mark.usefixtures("coarse_scan")
-def test_no_lower_acceleration_is_tried_where_none_can_win(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_no_lower_acceleration_is_tried_where_none_can_win(tmp_path: Path) -> None:
     """The answer equals the whole search's; a tighter specification is searched in whole."""
     machine, job = files(tmp_path, "G1 X20 A90 F1000\nG1 X0\nG1 X30")
     words = {"interpolation": "auto", "level": "nominal"}
@@ -396,8 +394,10 @@ def test_no_lower_acceleration_is_tried_where_none_can_win(
     )
     gently = tl.fastest(job, machine, spec=tmp_path / "tight.toml", **words)  # type: ignore[arg-type]
     assert len(gently.of.rungs) > 1
-    monkeypatch.setattr(least_limits, "_only_limits", lambda _: False)
-    whole = tl.fastest(job, machine, **words)  # type: ignore[arg-type]
+    (tmp_path / "loose.toml").write_text(
+        'name = "any"\n[[criteria]]\nname = "acceleration"\naxis = "X"\nlimit = "1e9 mm/s^2"\n'
+    )
+    whole = tl.fastest(job, machine, spec=tmp_path / "loose.toml", **words)  # type: ignore[arg-type]
     assert whole.best == found.best and len(whole.of.rungs) > 1
     assert whole.of.best.duration_s == found.of.best.duration_s
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import platform
+import sys
 from pathlib import Path
 
 import pytest
@@ -36,5 +37,8 @@ def test_a_turn_is_asked_for_and_given_back() -> None:
 
 
 def test_other_systems_are_left_alone(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("tests.long_turns._CALL", None)
+    with monkeypatch.context() as patched:
+        patched.setattr(platform, "machine", lambda: "riscv64")
+        assert not ask_for_turns(LONG_S)
+    monkeypatch.setattr(sys, "platform", "darwin")
     assert not ask_for_turns(LONG_S)

@@ -359,7 +359,8 @@ def kept_tallies(file: Path) -> list[Tally]:
     return found
 
 
-def _keep(file: Path, tally: Tally) -> None:
+def keep(file: Path, tally: Tally) -> None:
+    """Append a tally to a file, from which ``kept_tallies`` reads it."""
     row = {**vars(tally), "cases": dict(tally.cases), "doors": dict(tally.doors)}
     with file.open("a", encoding="utf-8") as out:
         out.write(json.dumps(row) + "\n")
@@ -412,7 +413,7 @@ def main() -> int:
     for tally in _tallies(run, wanted, options.processes, end_s):
         tallies.append(tally)
         if options.kept:
-            _keep(options.kept, tally)
+            keep(options.kept, tally)
     failures = [failure for tally in tallies for failure in tally.failures]
     for failure in failures[:_SHOWN]:
         print(failure, file=sys.stderr)

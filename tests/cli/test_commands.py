@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 import shlex
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +17,7 @@ from threadline.face import compile as compile_job
 from threadline.files.formats import read_recording
 from threadline.machine import load_machine
 from threadline.proof.pipeline import target_names
-from threadline.search import chosen_plans
+from threadline.search.paced import Effort, searching_with
 
 pytestmark = pytest.mark.usefixtures("coarse_search")
 
@@ -133,14 +134,15 @@ def test_fastest_prints_the_command_that_proves_its_answer(
     assert json.loads(found)["limited_by"] == "range"
 
 
-def few_plans(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.fixture
+def few_plans(coarse_search: None) -> Iterator[None]:
     """Make a search over the choices of a plan try three careful places, and two more."""
-    monkeypatch.setattr(chosen_plans, "_STEPS", 3)
-    monkeypatch.setattr(chosen_plans, "_LEAST_PLANS", 2)
-    monkeypatch.setattr(chosen_plans, "_MOST_PLANS", 2)
+    with searching_with(Effort(steps=3, least_plans=2, most_plans=2)):
+        yield
 
 
 @pytest.mark.long(but="extra1")
+@pytest.mark.usefixtures("few_plans")
 @pytest.mark.parametrize("extra", [["--contour", "0.4 mm"], ["--feed-forward"]])
 def test_the_fastest_of_optimal_is_a_plan_that_prove_makes_again(
     examples: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
@@ -150,7 +152,6 @@ def test_the_fastest_of_optimal_is_a_plan_that_prove_makes_again(
 
     It is drawn in the first case. Given options stay as they are, and the search chooses the rest.
     """
-    few_plans(monkeypatch)
     if extra == ["--feed-forward"]:
         blank_pictures(monkeypatch)
     words = ["fastest", examples / "x-180.prg", "-m", "lathe-winder", "--interpolation", "optimal"]

@@ -14,8 +14,8 @@ from threadline.cli.main import main
 from threadline.motion.path import interpolation_names
 from threadline.motion.path.interpolations import KEEPING_TOLERANCE
 from threadline.search import Grid, by_pace
-from threadline.search import least_limits as gentle
 from threadline.search.fastest import RANGE, Fastest, Interval
+from threadline.search.paced import Effort, searching_with
 from threadline.verdict import Verdict
 
 pytestmark = pytest.mark.usefixtures("coarse_search")
@@ -93,22 +93,21 @@ def test_compile_and_compare_say_it_too(tmp_path: Path, capsys: pytest.CaptureFi
 
 @pytest.mark.long(shown_by="test_compile_and_compare_say_it_too")
 def test_fastest_says_it_of_the_plan_that_it_found(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Once, for the plan of the printed feed: ``prove`` with this feed says the same."""
     job = tmp_path / "corner.prg"
     job.write_text(CORNER)
     anything = tmp_path / "anything.spec.toml"
     anything.write_text('name = "anything"\n[[criteria]]\nname = "contour_error"\nlimit = "1 m"\n')
-    monkeypatch.setattr(gentle, "_LADDER", (1.0,))
-    monkeypatch.setattr(gentle, "_SCAN", Grid(points=2))
     planning = ["-m", "lathe-winder", "--interpolation", "b-spline"]
     span = ["-s", str(anything), "--low", "1 mm/s", "--high", "5 mm/s", "--json"]
-    _, out, err = run(capsys, "fastest", job, *planning, *span)
-    (matches,) = SAYS.findall(err)
-    again = shlex.split(json.loads(out)["command"])[1:]
-    assert SAYS.findall(run(capsys, *again)[2]) == [matches]
-    assert not SAYS.search(run(capsys, "fastest", job, *planning[:2], *span)[2])
+    with searching_with(Effort(shares=(1.0,), finest=Grid(points=2))):
+        _, out, err = run(capsys, "fastest", job, *planning, *span)
+        (matches,) = SAYS.findall(err)
+        again = shlex.split(json.loads(out)["command"])[1:]
+        assert SAYS.findall(run(capsys, *again)[2]) == [matches]
+        assert not SAYS.search(run(capsys, "fastest", job, *planning[:2], *span)[2])
 
 
 def test_fastest_of_a_seam_says_it_too(

@@ -33,7 +33,7 @@ def test_every_stage_of_a_yield_tells_how_far_it_is(
         yield lambda stage, share: reports.append((stage, share))
 
     monkeypatch.setattr(yield_, "progress_bar", heard)
-    monkeypatch.setattr(why, "_MACHINES", 8)
+    monkeypatch.setattr(why, "MACHINES", 8)
     monkeypatch.setattr(why, "SAMPLES", 4)
     monkeypatch.setattr(yield_, "MACHINES", 20)
     job = tmp_path / "turn.prg"

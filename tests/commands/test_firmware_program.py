@@ -22,7 +22,7 @@ from threadline.commands import firmware_program, merged_chords
 from threadline.commands.boards import BOARDS
 from threadline.commands.plan import Plan
 from threadline.errors import PlanError
-from threadline.jobs import read_job
+from threadline.jobs import Job, read_job
 from threadline.machine import Machine, load_machine
 from threadline.machine.motion_planner import GrblPlanner, LinuxCncPlanner
 from threadline.machine.quantity import parse_machine_quantity
@@ -162,8 +162,15 @@ def test_program_that_reads_back_differently_is_not_written(
 ) -> None:
     """When the ends read back 0.1 mm off, there is an error and no file."""
     made = plan(tmp_path, xya, "G1 X5 F600\nM30\n")
-    usual = firmware_program._decimal
-    monkeypatch.setattr(firmware_program, "_decimal", lambda v: usual(v + 0.1) if v else "0")
+    usual = firmware_program.read_written
+
+    def off(path: Path, machine: Machine, target: str) -> Job:
+        text = path.read_text("ascii")
+        assert "X5" in text
+        path.write_text(text.replace("X5", "X5.1"), "ascii")
+        return usual(path, machine, target)
+
+    monkeypatch.setattr(firmware_program, "read_written", off)
     with pytest.raises(PlanError, match="read back, is not the plan: it leaves it by"):
         write(made, "grbl", tmp_path / "out.gcode")
     assert not (tmp_path / "out.gcode").exists()

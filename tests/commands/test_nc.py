@@ -13,7 +13,14 @@ from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
 from threadline.commands import nc
-from threadline.commands.nc import MAX_BODY, Loop, fold, part_program_lines, write_part_program
+from threadline.commands.nc import (
+    MAX_BODY,
+    MAX_KEPT,
+    Loop,
+    fold,
+    part_program_lines,
+    write_part_program,
+)
 from threadline.commands.nc_blocks import OutBlock
 from threadline.commands.nc_numbers import shortest
 from threadline.errors import PlanError
@@ -184,9 +191,10 @@ def test_a_subroutine_too_long_to_be_held_is_written_out_whole() -> None:
         assert written == [block.words for block in blocks]
 
 
-def written(blocks: Iterable[OutBlock]) -> list[int]:
+def written(blocks: Iterable[OutBlock], most_kept: int = MAX_KEPT) -> list[int]:
     """Return the number of passes of each loop, and 0 for each block outside of loops."""
-    return [one.passes if isinstance(one, Loop) else 0 for one in fold(blocks)]
+    folded = fold(blocks, most_kept=most_kept)
+    return [one.passes if isinstance(one, Loop) else 0 for one in folded]
 
 
 def passes(count: int, *words: str, feed: int | None = None) -> list[OutBlock]:
@@ -198,11 +206,10 @@ def passes(count: int, *words: str, feed: int | None = None) -> list[OutBlock]:
     ]
 
 
-def test_bodies_that_are_held_together_are_not_too_long(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_bodies_that_are_held_together_are_not_too_long() -> None:
     """A body that does not fit beside those kept is written out; a body that still fits is kept."""
-    monkeypatch.setattr(nc, "_MAX_KEPT", 5)
     first, second = passes(2, "X1", "X2", "X3"), passes(2, "X4", "X5", "X6")
-    assert written([*first, *second, *passes(2, "X7", "X8")]) == [2, *[0] * 6, 2]
+    assert written([*first, *second, *passes(2, "X7", "X8")], most_kept=5) == [2, *[0] * 6, 2]
 
 
 def test_passes_whose_times_differ_by_rounding_alone_are_one_loop() -> None:
@@ -227,17 +234,20 @@ def test_fanuc_has_as_many_subprograms_as_four_digits_leave(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The main program is number 1, so the last number belongs to the one before it."""
-    monkeypatch.setattr(nc, "_MOST_FANUC", 3)
-    for count in (2, 3):
-        bodies = "".join(f"O{k}\nX{k}\nM99\n" for k in range(7, 7 + count))
-        calls = "".join(f"M98 P{k}\nA1\n" for k in range(7, 7 + count))
-        (tmp_path / "a.nc").write_text(f"%\n{bodies}O1\nG91 G1 F600 A1\n{calls}M30\n%\n")
-        job = read_job(tmp_path / "a.nc", MACHINE)
+    (tmp_path / "a.nc").write_text("%\nO1\nG91 G1 F600 A1\nM30\n%\n")
+    job = read_job(tmp_path / "a.nc", MACHINE)
+    for count in (7998, 7999):
+        calls = [
+            one
+            for k in range(count)
+            for one in (*passes(1, f"X{k}"), OutBlock(1, "A1", inverse_time=False, feed=None))
+        ]
+        monkeypatch.setattr(nc, "blocks_of", lambda *_, calls=calls: iter(calls))
         lines = part_program_lines(job, MACHINE, style="fanuc", subroutines=True)
-        if count == 2:
+        if count == 7998:
             assert sum(line.startswith("O") for line in lines) == 1 + count
         else:
-            with pytest.raises(PlanError, match="more than 3 different subprograms"):
+            with pytest.raises(PlanError, match="more than 7999 different subprograms"):
                 list(lines)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pickle
 import time
+import weakref
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
@@ -169,13 +170,24 @@ def test_a_short_stream_is_worked_out_once_and_a_long_one_anew() -> None:
     assert list(stream) == list(stream) == blocks
     assert len(calls) == 1
     travelled = pickle.loads(pickle.dumps(stream))
-    assert not travelled._items and list(travelled) == blocks  # read anew there
+    READINGS.clear()
+    assert list(travelled) == list(travelled) == blocks
+    assert len(READINGS) == 1  # worked out anew there, once
 
     calls.clear()
     long = [b"x" * KeptStream.MOST_KEPT, b"y"]
     stream = KeptStream(noted_blocks, calls, long)
     assert list(stream) == list(stream) == long
-    assert len(calls) == 2 and not stream._items
+    assert len(calls) == 2
+
+
+def test_a_long_stream_holds_no_block_after_a_reading() -> None:
+    """Neither if its first block is too long, nor if a later one is."""
+    for lengths in (KeptStream.MOST_KEPT + 1, 1), (2, 2, KeptStream.MOST_KEPT, 1):
+        alive: list[weakref.ref[Rows]] = []
+        stream = KeptStream(rows_of, alive, lengths)
+        assert [len(block) for block in stream] == list(lengths)
+        assert len(alive) == len(lengths) and not any(ref() is not None for ref in alive)
 
 
 def test_readings_side_by_side_of_a_long_stream_are_each_whole() -> None:
@@ -187,7 +199,7 @@ def test_readings_side_by_side_of_a_long_stream_are_each_whole() -> None:
     assert next(behind) == b"ab"
     assert list(ahead) == blocks and len(calls) == 1
     assert [b"ab", *behind] == blocks and len(calls) == 2
-    assert list(stream) == blocks and not stream._items
+    assert list(stream) == blocks and len(calls) == 3
 
 
 def test_a_stream_that_fails_does_so_for_every_reading() -> None:
@@ -221,9 +233,32 @@ def slow_blocks(calls: list[int], blocks: list[bytes]) -> Iterator[bytes]:
         yield block
 
 
+READINGS: list[int] = []
+"""An entry for each reading of ``noted_blocks``, in whichever copy of a stream."""
+
+
 def noted_blocks(calls: list[int], blocks: list[bytes]) -> Iterator[bytes]:
     calls.append(0)
+    READINGS.append(0)
     return iter(blocks)
+
+
+class Rows:
+    """A block of so many rows, which a test may watch."""
+
+    def __init__(self, rows: int) -> None:
+        self._rows = rows
+
+    def __len__(self) -> int:
+        return self._rows
+
+
+def rows_of(alive: list[weakref.ref[Rows]], lengths: tuple[int, ...]) -> Iterator[Rows]:
+    for length in lengths:
+        block = Rows(length)
+        alive.append(weakref.ref(block))
+        yield block
+        del block
 
 
 def noted(calls: list[int], upto: int) -> Iterator[int]:

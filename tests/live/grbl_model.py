@@ -66,6 +66,7 @@ class GrblModel(threading.Thread):
         self.overrides = self.told_overrides = (100, 100, 100)
         self.overridable = True
         self.at_stop = False
+        self.mute = False
         self.client: socket.socket | None = None
         self.over = False
 
@@ -172,7 +173,8 @@ class GrblModel(threading.Thread):
             if line == b"M0" and not self._passed_stop():
                 return
             self.rx = bytearray(rest)
-            self._do(line.decode("ascii"))
+            if not self.mute:
+                self._do(line.decode("ascii"))
 
     def _passed_stop(self) -> bool:
         """Hold at an M0 once all moves before it are done; return whether it was resumed.

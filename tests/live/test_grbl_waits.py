@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -205,9 +206,11 @@ def test_a_hold_that_nobody_can_end_is_stopped(
         state=State.HOLDING, why="its door is open", stopped_by="", time_s=1.0, percent=100
     )
     desk = Desk()
-    keys = AtTheKeys(desk, 10.0, None, None if alone else 0)
-    monkeypatch.setattr(keys, "_pressed", lambda _: None)
+    terminal, keyboard = os.pipe()  # no key is pressed
+    keys = AtTheKeys(desk, 10.0, None, None if alone else terminal)
     keys.step(run)
+    os.close(terminal)
+    os.close(keyboard)
     assert desk.take() is (Cause.STOP if alone else None)
     said = capsys.readouterr().err
     assert "holding: its door is open; " in said

@@ -1,4 +1,7 @@
-"""Remove a guard of links, cylinders, frames, grbl or HAL: the test named for it fails."""
+"""Remove a guard of links, cylinders, frames, grbl or HAL: the test named for it fails.
+
+Nobody may leave out a guard, so none has a setting: it is removed where it is, though private.
+"""
 
 from __future__ import annotations
 

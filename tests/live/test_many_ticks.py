@@ -75,6 +75,7 @@ def test_one_call_for_all_ticks_judges_as_the_guards_that_say_which(
     chance = np.random.default_rng(7)
     for _ in range(8):
         samples = spoiled(chance, kind)
+        # Each way alone: callers cannot choose, because a guard has no setting.
         with monkeypatch.context() as patched:
             patched.setattr(Guards, "_in_order", lambda *_: False)
             one_by_one = tripped(samples, 18)

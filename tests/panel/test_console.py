@@ -218,13 +218,11 @@ def test_a_board_for_another_machine_is_a_fault_that_the_console_mends(tmp_path:
         anna.see("idle")
 
 
-def test_a_line_that_is_not_answered_is_a_fault(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_line_that_is_not_answered_is_a_fault(tmp_path: Path) -> None:
     """The next answer would be taken for the missing one."""
     model = GrblModel(settings())
     with grbl(tmp_path, model) as anna:
-        monkeypatch.setattr(model, "_do", lambda _: None)
+        model.mute = True
         assert typed(anna, "$G") == ""
         wait(anna, lambda: anna.state["state"] == "fault")
         assert "did not answer '$G' within 3 s" in anna.state["why"]

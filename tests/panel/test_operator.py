@@ -28,12 +28,11 @@ from tests.panel.bench import (
     proven,
     served,
 )
-from threadline.live.states import Cause, State
+from threadline.live.states import Cause, Desk, State
 from threadline.live.store.run_store import opened
 from threadline.live.wire import Connection, Message
 from threadline.panel import calculating, kept_runs
 from threadline.panel.kept_runs import KeptRuns, Owned
-from threadline.panel.owner import Owner
 from threadline.panel.panel import end_words
 from threadline.panel.protocol import CLIENT_MESSAGE
 
@@ -323,18 +322,19 @@ def test_a_stop_before_it_begins_ends_a_start(
     project: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A stop during the check of a start is not lost, and nothing moves afterwards."""
-    heard, check, stop = threading.Event(), kept_runs.check_halts, Owner._stop
+    heard, check, ask = threading.Event(), kept_runs.check_halts, Desk.ask
 
     def checked(*given: Any, **named: Any) -> None:
         assert heard.wait(60.0)
         check(*given, **named)
 
-    def stopped(owner: Owner) -> None:
-        stop(owner)
-        heard.set()
+    def asked(desk: Desk, cause: Cause) -> None:
+        ask(desk, cause)
+        if cause is Cause.STOP:
+            heard.set()
 
     monkeypatch.setattr(kept_runs, "check_halts", checked)
-    monkeypatch.setattr(Owner, "_stop", stopped)
+    monkeypatch.setattr(Desk, "ask", asked)
     with served(project, SPEED) as client, operator(client) as anna:
         anna.ready()
         assert anna.act("calculate", program="there.prg") == ""

@@ -20,7 +20,7 @@ from threadline.files import Channel, ChannelKind, Clock, Recording, RecordingBl
 from threadline.machine import load_machine
 from threadline.panel.calculating import calculate
 from threadline.panel.calculation import Calculation, add_winding
-from threadline.panel.job_views import _tension
+from threadline.panel.job_views import tension_figures
 from threadline.panel.protocol import Calculate, Figures
 
 PITCH_M, TURNS = 0.004, 6
@@ -98,14 +98,14 @@ def test_the_tension_is_told_in_pieces_with_its_least_and_its_most() -> None:
         channels=(pulled,), blocks=Stream.of(blocks), job_sha256="", machine_sha256="",
         simulated=True,
     )  # fmt: skip
-    found = _tension(told)
+    found = tension_figures(told)
     assert found is not None
     assert len(found["mean"]) == len(found["times_s"]) == 4_334  # three samples each
     assert found["times_s"][:2] == [0.0, 0.015] and found["mean"][-1] == 8.0
     assert found["mean"][33] == pytest.approx(7.0 + 2.5 / 3.0, abs=1e-6)
     assert (found["least"], found["most"]) == (7.0, 9.5)
     none = Channel(name="x", kind=ChannelKind.COMMANDED, unit="m", axis="X", clock=clock)
-    assert _tension(replace(told, channels=(none,), blocks=Stream.of(()))) is None
+    assert tension_figures(replace(told, channels=(none,), blocks=Stream.of(()))) is None
 
 
 @pytest.mark.long(shown_by="test_the_tension_is_told_in_pieces_with_its_least_and_its_most")

@@ -152,9 +152,9 @@ def test_the_command_takes_them_for_a_design(
     monkeypatch.setattr(by_pace, "constant_speeds", canned(calls))
     frame = load_machine("schiffli-frame")
     words = ["fastest", str(examples / "rosette.dst"), "-m", "schiffli-frame", "--mismatch"]
+    words += ["--nominal"]  # no search for a bad day
     monkeypatch.setattr(shaft, "plan_job", lambda *_: SimpleNamespace(duration_s=1.0))
-    monkeypatch.setattr(shaft, "_schedule", lambda *_: None)
-    monkeypatch.setattr(shaft, "_searched_edges", lambda _, found: found)  # days: simulated
+    monkeypatch.setattr(shaft, "fastest_schedule", lambda *_: None)
     out = io.StringIO()
     with redirect_stdout(out), redirect_stderr(io.StringIO()), pytest.raises(SystemExit) as left:
         main([*words, "--low", "0.01 stitch/s"])

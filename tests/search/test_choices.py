@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -19,8 +19,9 @@ from threadline.proof.option_words import share_words
 from threadline.proof.options import Options, describe, options_from, options_of
 from threadline.proof.pipeline import NOMINAL, open_job
 from threadline.proof.request import Words
-from threadline.search import chosen_plans
-from threadline.search.by_pace import answered
+from threadline.search import by_pace, chosen_plans
+from threadline.search.allowance import FastestJob, Rung
+from threadline.search.by_pace import answered, optimal_words
 from threadline.search.choices import (
     CHOSEN,
     Tried,
@@ -33,8 +34,9 @@ from threadline.search.choices import (
     places_of,
 )
 from threadline.search.deadline import Deadline
+from threadline.search.fastest import Fastest
 from threadline.search.least_times import least_on_any_path, shortened_way
-from threadline.search.paced import Question
+from threadline.search.paced import Effort, Question, searching_with
 from threadline.search.question import question_of
 from threadline.verdict import Result, Status, Verdict, load_spec
 from threadline.verdict.contour import POINT_MISSED
@@ -99,16 +101,9 @@ def test_the_values_of_choices_are_typed_and_read_back() -> None:
         one = chosen(options, knobs, places, {13: 0.9123})
         assert one.outside_m <= one.tolerance_m <= 5e-4
         assert options_from(describe(job, machine, one)) == one
-        words = chosen_plans_words(one)
-        assert options_of("optimal", **words) == one
+        assert options_of("optimal", **optimal_words(one)) == one
         again = places_of(one, knobs, machine)
         assert np.allclose(places, again, atol=0.01)
-
-
-def chosen_plans_words(options: Options) -> dict[str, object]:
-    from threadline.search.by_pace import _chosen_words
-
-    return dict(_chosen_words(options))
 
 
 LINES = [0, 5, 7, 13]
@@ -172,11 +167,10 @@ def test_a_way_to_and_fro_is_bound_by_what_its_drive_gives() -> None:
 
 
 @pytest.fixture
-def few(monkeypatch: pytest.MonkeyPatch) -> None:
+def few() -> Iterator[None]:
     """Let the search try four plans."""
-    monkeypatch.setattr(chosen_plans, "_STEPS", 3)
-    monkeypatch.setattr(chosen_plans, "_LEAST_PLANS", 3)
-    monkeypatch.setattr(chosen_plans, "_MOST_PLANS", 3)
+    with searching_with(Effort(steps=3, least_plans=3, most_plans=3)):
+        yield
 
 
 @pytest.mark.usefixtures("few")
@@ -221,7 +215,7 @@ def test_a_share_of_the_limits_is_tried_where_no_plan_of_them_all_passes() -> No
 
 @pytest.mark.usefixtures("few")
 def test_share_of_the_limits_is_searched_if_no_plan_at_full_limits_passes(
-    monkeypatch: pytest.MonkeyPatch,
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Over the tolerances the loops may be too far off for every plan with the full limits.
 
@@ -244,19 +238,27 @@ def test_share_of_the_limits_is_searched_if_no_plan_at_full_limits_passes(
     assert shares[0] == 1.0
     assert 0.05 <= found.of.best.share <= 1.0 / 3.0
     assert found.again["limits"] == share_words(found.of.best.share)
-    _, header, rows = OptimalOutput(found, "x-180")._table()
-    assert header[1] == "limits used"
-    assert rows[-1][1] == found.again["limits"]
+    OptimalOutput(found, "x-180").show(None, None)
+    said = capsys.readouterr().out
+    assert "limits used" in " ".join(said.split())
+    assert f" {found.again['limits']} " in said
     assert found.plan().duration_s == found.duration_s
 
 
-def test_a_search_without_a_plan_in_spec_names_what_the_nearest_fails() -> None:
-    nearest = SimpleNamespace(duration_s=None, found=SimpleNamespace(limited_by="contour_error"))
-    output = object.__new__(OptimalOutput)
-    output.of = SimpleNamespace(best=nearest, rungs=(nearest, nearest))
-    assert list(output._lines()) == [
-        "no plan is in spec (2 proved): the nearest fails contour_error"
-    ]
+def test_a_search_without_a_plan_in_spec_names_what_the_nearest_fails(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    verdict = missed(None, 3.0)
+    found = Fastest(intervals=(), limited_by="contour_error", verdict=verdict, tried=1)
+    nearest = Rung(share=1.0, found=found, duration_s=None)
+    monkeypatch.setattr(
+        by_pace, "fastest_job", lambda _: FastestJob(best=nearest, rungs=(nearest, nearest))
+    )
+    given = Words.of("fastest", Door.PYTHON, {"interpolation": "optimal"})
+    answer = answered(question_of(given, EXAMPLES / "x-180.prg", "lathe-winder"))
+    OptimalOutput(answer, "x-180").show(None, None)
+    line = "no plan is in spec (2 proved): the nearest fails contour_error"
+    assert line in capsys.readouterr().out.splitlines()
 
 
 @pytest.mark.long(shown_by="test_a_search_by_what_was_tried_comes_close_to_what_can_be_had")

@@ -12,17 +12,19 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
+import distributed
 import pytest
 
 from tests.search.dying import Deadly
 from tests.search.fleet import Fleet
 from threadline.base import cluster as of_cluster
 from threadline.base.cluster import Cluster, parse_cluster
+from threadline.base.workers import working_on
 from threadline.cli.main import main
 from threadline.errors import LinkFaultError, OptionError
 from threadline.machine import load_machine
-from threadline.proof.judge_runs import RunsJudge
 from threadline.proof.options import Options
 from threadline.proof.pipeline import open_job, plan_job
 from threadline.search.machine_yield import MachineYield
@@ -91,8 +93,23 @@ def judged(job: Path) -> MachineYield:
     return MachineYield(plan, load_spec(None, machine))
 
 
-def bits(found: MachineYield, variants: int) -> list[bytes]:
-    return [row.values.tobytes() for row in found.drawn(variants, 5).found.rows]
+def bits(found: MachineYield, variants: int, at_once: int | None = None) -> list[bytes]:
+    drawn = found.drawn(variants, 5, at_once=at_once)
+    return [row.values.tobytes() for row in drawn.found.rows]
+
+
+@pytest.fixture
+def submitted(monkeypatch: pytest.MonkeyPatch) -> list[tuple[Any, ...]]:
+    """Every task that a client sends from now on: a function and its arguments."""
+    sent: list[tuple[Any, ...]] = []
+    submit = distributed.Client.submit
+
+    def noted(self: distributed.Client, *task: Any, **how: Any) -> Any:
+        sent.append(task)
+        return submit(self, *task, **how)
+
+    monkeypatch.setattr(distributed.Client, "submit", noted)
+    return sent
 
 
 @pytest.mark.parametrize(("machine", "variants"), [("lathe-winder", 70), ("stepper-winder", 5)])
@@ -113,60 +130,49 @@ def test_an_answer_is_that_of_one_computer_to_the_bit(
 
 @pytest.mark.long(shown_by="test_an_answer_is_that_of_one_computer_to_the_bit")
 def test_bits_do_not_depend_on_the_size_of_a_task_or_on_who_is_quick(
-    job: Path, two_workers: Fleet, monkeypatch: pytest.MonkeyPatch
+    job: Path, two_workers: Fleet
 ) -> None:
     own = judged(job)
     here = bits(own, 40)
-    with of_cluster.on_cluster(two_workers.address, print):
-        for size, ahead in (1, 1), (7, 16), (64, 2):
-            monkeypatch.setattr("threadline.search.machine_yield._AT_ONCE_AWAY", size)
-            monkeypatch.setattr("threadline.search.machine_yield._TURNS", 1)
-            monkeypatch.setattr(of_cluster, "_LEAST_AHEAD", ahead)
-            assert bits(own, 40) == here
+    for size, ahead in (1, 1), (7, 16), (40, 2):
+        cluster = Cluster(two_workers.address, ahead=ahead)
+        try:
+            with working_on(cluster):
+                assert bits(own, 40, size) == here
+        finally:
+            cluster.close()
 
 
-def test_a_plan_is_sent_once(job: Path, fleet: Fleet, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_plan_is_sent_once(job: Path, fleet: Fleet, submitted: list[tuple[Any, ...]]) -> None:
     """For further machines only their numbers are sent."""
-    own, sent = judged(job), []
-    reduce = RunsJudge.__reduce__
-
-    def counted(self: RunsJudge) -> object:
-        sent.append(self)
-        return reduce(self)
-
-    monkeypatch.setattr(RunsJudge, "__reduce__", counted)
+    own = judged(job)
     with of_cluster.on_cluster(fleet.address, print):
         own.drawn(4, 5)
         own.drawn(9, 5)
-    assert len(sent) == 1
+    with_plan = [any(isinstance(part, bytes) for part in task) for task in submitted]
+    assert with_plan[0] and with_plan.count(True) == 1 < len(with_plan) - 1
 
 
-def test_short_items_share_a_task(job: Path, fleet: Fleet, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_short_items_share_a_task(
+    job: Path, fleet: Fleet, submitted: list[tuple[Any, ...]]
+) -> None:
     """A task costs the same for one item as for many; the last tasks are small, so nobody waits."""
-    monkeypatch.setattr("threadline.search.machine_yield._AT_ONCE_AWAY", 1)
-    own, sent = judged(job), []
-    begun = Cluster._begun
-
-    def counted(self: Cluster, content: object, digest: str, items: list[object]) -> object:
-        sent.append(len(items))
-        return begun(self, content, digest, items)
-
-    monkeypatch.setattr(Cluster, "_begun", counted)
+    own = judged(job)
     here = bits(own, 150)
     with of_cluster.on_cluster(fleet.address, print):
-        bits(own, 30)  # so that the time of an item is known
-        sent.clear()
-        assert bits(own, 150) == here
+        bits(own, 30, 1)  # so that the time of an item is known
+        submitted.clear()
+        assert bits(own, 150, 1) == here
+    sent = [len(task[-1]) for task in submitted]
     assert sum(sent) == 150 and len(sent) < 50 and max(sent) >= 5 and sent[-1] == 1
 
 
 @pytest.mark.long(shown_by="test_machines_that_end_every_worker_are_not_tried_for_ever")
 @pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGTERM])
 def test_a_worker_that_ends_in_the_middle_changes_nothing(
-    how: signal.Signals, job: Path, fleets: Callable[[int], Fleet], monkeypatch: pytest.MonkeyPatch
+    how: signal.Signals, job: Path, fleets: Callable[[int], Fleet]
 ) -> None:
     """SIGKILL stands for a computer that fails; a batch system sends SIGTERM at its wall time."""
-    monkeypatch.setattr("threadline.search.machine_yield._AT_ONCE_AWAY", 4)
     own, fleet = judged(job), fleets(2)
     here = bits(own, 60)
     with of_cluster.on_cluster(fleet.address, print):
@@ -177,7 +183,7 @@ def test_a_worker_that_ends_in_the_middle_changes_nothing(
             if len(told) == 2:
                 fleet.workers[0].send_signal(how)
 
-        found = own.drawn(60, 5, done)
+        found = own.drawn(60, 5, done, at_once=4)
     assert [row.values.tobytes() for row in found.found.rows] == here
     assert sum(told) == 60 and fleet.workers[0].wait(120) is not None
 
@@ -189,15 +195,15 @@ def test_judged_machines_are_kept_when_the_cluster_dies(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:  # fmt: skip
     """Exit status 3 and one line; the same command without the cluster goes on to the same bits."""
-    monkeypatch.setattr("threadline.search.machine_yield._AT_ONCE_AWAY", 4)
     words = ["yield", job, "-m", "lathe-winder", "--variants", 60, "--interpolation", "linear"]
     words += ["--seed", 5, "--json"]
     here, fleet = said(*words), fleets(1)
-    add = YieldState.add
+    add, batches = YieldState.add, list[int]()
 
     def kill(self: YieldState, found: object) -> None:
         add(self, found)  # type: ignore[arg-type]
-        if self.known is not None and self.known.runs == 8:
+        batches.append(1)
+        if len(batches) == 2:
             dying = [fleet.scheduler] if which == "scheduler" else fleet.workers
             for one in dying:
                 one.send_signal(signal.SIGKILL)
@@ -210,7 +216,7 @@ def test_judged_machines_are_kept_when_the_cluster_dies(
     assert fleet.address in err and "--resume" in err
     assert ("went away" if which == "scheduler" else "no worker for 1 s") in err
     lines = Path("kept").read_bytes().count(b"\n")
-    assert lines >= 3  # the first line of the file, and two batches of four
+    assert lines >= 3  # the first line of the file, and two batches
     monkeypatch.setattr(YieldState, "add", add)
     assert said(*words, "--resume", "kept") == here
 
@@ -219,7 +225,6 @@ def test_judged_machines_are_kept_when_the_cluster_dies(
 def test_a_scheduler_that_comes_back_gets_what_it_lost(
     job: Path, fleets: Callable[[int], Fleet], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("threadline.search.machine_yield._AT_ONCE_AWAY", 4)
     monkeypatch.setattr(of_cluster, "CONNECT_S", 60.0)
     own, fleet = judged(job), fleets(1)
     here, told = bits(own, 60), []
@@ -230,7 +235,7 @@ def test_a_scheduler_that_comes_back_gets_what_it_lost(
             fleet.begin_again()
 
     with of_cluster.on_cluster(fleet.address, print):
-        found = own.drawn(60, 5, done)
+        found = own.drawn(60, 5, done, at_once=4)
     assert [row.values.tobytes() for row in found.found.rows] == here
     assert sum(told) == 60
 
@@ -261,28 +266,20 @@ def test_machines_that_end_every_worker_are_not_tried_for_ever(
 @pytest.mark.parametrize("late", [False, True])
 def test_a_worker_of_another_version_is_refused_by_name(
     late: bool, name: str, told: str, job: Path, said: Said, fleet: Fleet,
-    monkeypatch: pytest.MonkeyPatch,
+    submitted: list[tuple[Any, ...]], monkeypatch: pytest.MonkeyPatch,
 ) -> None:  # fmt: skip
-    """This holds at the beginning, and for a worker that joins later."""
+    """This holds at the beginning, before anything is sent, and for a worker that joins later."""
     own = of_cluster.versions()
-    real = of_cluster.versions
-    calls: list[int] = []
-
-    def wanted() -> dict[str, str]:
-        calls.append(1)
-        return {**own, name: told} if len(calls) == 1 else real()
-
-    monkeypatch.setattr(of_cluster, "versions", wanted)
-    if late:
-        monkeypatch.setattr(Cluster, "_check_versions", lambda _: None)
-    else:
-        # Workers take the function by its name, which is the name of the real function.
-        monkeypatch.setattr(Cluster, "_versions_there", staticmethod(real))
+    # Workers take the function by its name, which is the name of the real function.
+    monkeypatch.setattr(of_cluster, "versions", lambda: {**own, name: told})
+    if late:  # when the workers are asked, there is none
+        monkeypatch.setattr(distributed.Client, "run", lambda *_, **__: {})
     words = ["yield", job, "-m", "lathe-winder", "--variants", 9, "--interpolation", "linear"]
     code, out, err = said(*words, "--cluster", fleet.address)
     assert (code, out, err.count("\n")) == (2, "", 1), err
     assert re.search(rf"worker tcp://127\.0\.0\.1:\d+ of .* has {name} .* instead of {told}", err)
     assert "requirements/cluster.txt" in err
+    assert bool(submitted) is late
 
 
 def test_a_worker_that_rounds_otherwise_is_refused(

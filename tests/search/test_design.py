@@ -219,7 +219,7 @@ def test_printed_design_states_its_level(
 ) -> None:
     """The level is below the verdict, in the last sentence and above the other machines."""
     assert result.found is not None
-    command._show(result)
+    command.show_design(result)
     told = capsys.readouterr().out
     assert f"IN SPEC (repeated: {result.found.verdict.runs} runs" in told
     assert "in spec (repeated) with belt x " in told

@@ -6,14 +6,18 @@ import json
 import random
 import zlib
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 
 from tests.search.test_design_front import CLOSE, QUICK, TURN
 from threadline.cli.main import main
 from threadline.search import design as of_search
 from threadline.search import design_parts
+from threadline.search.design_evaluate import Evaluator
 from threadline.search.design_parts import read_design_part
 
 Said = Callable[..., tuple[int, str, str]]
@@ -115,7 +119,13 @@ def test_parts_that_do_not_fit_are_named(said: Said, monkeypatch: pytest.MonkeyP
         told = refused(one, two, three)
         assert "another version of numpy, version of scipy, version of numba" in told
     with monkeypatch.context() as patch:
-        patch.setattr(design_parts, "_known", lambda _: "other bits")
+        tried = Evaluator.tried
+
+        def rounded_otherwise(self: Evaluator, *given: Any, **named: Any) -> Any:
+            result = tried(self, *given, **named)
+            return replace(result, ratio=np.nextafter(result.ratio, np.inf))
+
+        patch.setattr(Evaluator, "tried", rounded_otherwise)
         assert "another result of the machine as its file says" in refused(one, two, three)
     Path("turn.prg").unlink()
     assert "the parts are of job 'turn.prg', and it is not here" in refused(one, two, three)

@@ -11,8 +11,6 @@ import shlex
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -31,7 +29,9 @@ from threadline.proof.option_words import feed_words, parse_feed
 from threadline.proof.options import Options, options_of
 from threadline.proof.pipeline import plan_job, write
 from threadline.proof.request import Words
+from threadline.search import by_pace
 from threadline.search.allowance import FastestJob, Rung
+from threadline.search.by_pace import answered
 from threadline.search.fastest import Fastest
 from threadline.search.feed import search_range, searched_by
 from threadline.search.feed_ranges import Interval
@@ -277,7 +277,10 @@ def test_a_winding_is_searched_in_one_run_and_judged_over_the_tolerances(
 
 
 @pytest.mark.parametrize(("whole", "said"), [(True, "at the level asked for"), (False, "prove it")])
-def test_the_output_says_which_feeds_were_judged_in_one_run(whole: bool, said: str) -> None:
+def test_the_output_says_which_feeds_were_judged_in_one_run(
+    whole: bool, said: str, examples: Path,
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str],
+) -> None:  # fmt: skip
     result = Result(
         name="contour_error", axis="", measured=1e-3, limit=2e-3, unit="m", status=Status.PASSED
     )
@@ -287,9 +290,13 @@ def test_the_output_says_which_feeds_were_judged_in_one_run(whole: bool, said: s
     )
     rung = Rung(share=0.25, found=found, duration_s=1.0)
     job = FastestJob(best=rung, rungs=(rung,), in_one_run=True, whole=whole)
-    found_by: Any = SimpleNamespace(question=SimpleNamespace(margin=0.0), of=job)
-    (line,) = FeedOutput(found_by, "job")._judged()
-    assert line.startswith("the feeds of the table pass in one run of each plan") and said in line
+    monkeypatch.setattr(by_pace, "fastest_job", lambda _: job)
+    given = Words.of("fastest", Door.PYTHON, {})
+    answer = answered(question_of(given, examples / "x-180.prg", "lathe-winder"))
+    FeedOutput(answer, "job").show(None, None)
+    lines = capsys.readouterr().out.splitlines()
+    (line,) = [one for one in lines if one.startswith("the feeds of the table pass in one run")]
+    assert "in one run of each plan" in line and said in line
 
 
 @pytest.mark.long(but="hoop")

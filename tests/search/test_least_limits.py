@@ -17,7 +17,7 @@ from threadline.proof.option_words import parse_share, share_words
 from threadline.proof.options import Options
 from threadline.proof.pipeline import plan_job, prove_plan
 from threadline.search import fastest_job, least_limits
-from threadline.search.allowance import Rung
+from threadline.search.allowance import FastestJob
 from threadline.search.fastest import Fastest
 from threadline.search.feed import feed_range_m_s
 from threadline.search.feed_ranges import Interval
@@ -53,18 +53,36 @@ def test_part_of_the_limits_beats_all_of_them(examples: Path) -> None:
     assert prove_plan(again, spec).verdict.passed
 
 
-def test_shares_of_the_limits_are_read_as_they_are_printed() -> None:
-    """Steps of the fourth root of 2 have sixteen digits; the tried shares have six decimals."""
+def shares_where_the_best_is(monkeypatch: pytest.MonkeyPatch, wanted: float) -> FastestJob:
+    """Search the shares of the limits of jobs that take longer the farther they are from one."""
 
-    def tried(share: float, points: int, near: int = 0) -> Rung:
-        found = Fastest(
-            intervals=(), limited_by="", verdict=Verdict(results=(), simulated=True), tried=1
+    def found(_asked: Question, *_: object) -> Fastest:
+        return Fastest(
+            intervals=(Interval(low=1.0, high=1.0),),
+            limited_by="range",
+            verdict=Verdict(results=(), simulated=True),
+            tried=1,
         )
-        away = abs(share - 0.19)
-        return rungs.setdefault(share, Rung(share=share, found=found, duration_s=1.0 + away))
 
-    rungs: dict[float, Rung] = {}
-    least_limits._climb(tried, rungs, least_limits._LADDER)
+    def planned(_asked: Question, share: float, _feed: float) -> SimpleNamespace:
+        return SimpleNamespace(duration_s=1.0 + abs(log2(share / wanted)))
+
+    monkeypatch.setattr(least_limits, "fastest_feed", found)
+    monkeypatch.setattr(least_limits, "planned_at", planned)
+    monkeypatch.setattr(least_limits, "ignores_limits", lambda *_: False)
+    machine = load_machine("lathe-winder")
+    job = read_job(Path(__file__).parents[2] / "examples" / "x-180.prg", machine)
+    return fastest_job(
+        Question(job=job, machine=machine, spec=load_spec(None, machine), options=Options())
+    )
+
+
+def test_shares_of_the_limits_are_read_as_they_are_printed(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Steps of the fourth root of 2 have sixteen digits; the tried shares have six decimals."""
+    found = shares_where_the_best_is(monkeypatch, 0.19)
+    rungs = [rung.share for rung in found.rungs]
     assert len(rungs) > 6
     for share in (*rungs, *np.random.default_rng(5).uniform(0.01, 1.0, 300).round(6).tolist()):
         assert parse_share(share_words(share)) == share
@@ -116,28 +134,8 @@ def test_the_ladder_is_left_to_either_side(
     monkeypatch: pytest.MonkeyPatch, wanted: float, rung: float
 ) -> None:
     """The best share is a quarter of a rung below or above the ladder's best, but at most 1."""
-    tried: list[float] = []
-
-    def found(asked: Question, *_: object) -> Fastest:
-        tried.append(asked.options.limit_share)
-        return Fastest(
-            intervals=(Interval(low=1.0, high=1.0),),
-            limited_by="range",
-            verdict=Verdict(results=(), simulated=True),
-            tried=1,
-        )
-
-    def planned(_asked: Question, share: float, _feed: float) -> SimpleNamespace:
-        return SimpleNamespace(duration_s=1.0 + abs(log2(share) - wanted))
-
-    monkeypatch.setattr(least_limits, "fastest_feed", found)
-    monkeypatch.setattr(least_limits, "planned_at", planned)
-    monkeypatch.setattr(least_limits, "ignores_limits", lambda *_: False)
-    machine = load_machine("lathe-winder")
-    job = read_job(Path(__file__).parents[2] / "examples" / "x-180.prg", machine)
-    result = fastest_job(
-        Question(job=job, machine=machine, spec=load_spec(None, machine), options=Options())
-    )
+    result = shares_where_the_best_is(monkeypatch, 2.0**wanted)
+    tried = [one.share for one in result.rungs]
     assert max(tried) == 1.0
     assert rung in tried
     assert result.best.share == round(2.0**wanted, 6)

@@ -348,21 +348,21 @@ def test_coverage_and_tie_are_judged_on_the_whole_winding(
     def searched(asked: Question, _grid: object, parts: tuple[Any, ...], _seen: object) -> Any:
         assert parts != (job,)
         of_parts.append(asked)
-        fastest = Interval(low=0.05, high=0.05)
-        return SimpleNamespace(
-            best=0.05, fastest=fastest, complete=True, intervals=(fastest,), verdict=None, fixed=""
-        )
+        interval = Interval(low=0.05, high=0.05)
+        return Fastest(intervals=(interval,), limited_by="x", verdict=verdict_at(0.05), tried=1)
 
-    def whole(best: Rung, asked: Question) -> Rung:
+    def whole(asked: Question, _plan: object) -> Verdict:
         of_whole.append(asked)
-        return best
+        return verdict_at(0.05)
+
+    def planned(*_: object) -> SimpleNamespace:
+        return SimpleNamespace(duration_s=10.0, tick_s=1e-3)
 
     monkeypatch.setattr(least_limits, "fastest_feed", searched)
-    monkeypatch.setattr(whole_jobs, "_of_whole", whole)
+    monkeypatch.setattr(Question, "judged", whole)
     monkeypatch.setattr(least_limits, "with_searched_best", lambda best, *_: best)
-    monkeypatch.setattr(
-        least_limits, "planned_at", lambda *_: SimpleNamespace(duration_s=10.0, tick_s=1e-3)
-    )
+    monkeypatch.setattr(least_limits, "planned_at", planned)
+    monkeypatch.setattr(whole_jobs, "planned_at", planned)
     fastest_job(Question(job=job, machine=machine, spec=spec, options=options))
 
     coverage = {"coverage_gap", "planned_coverage_gap"}

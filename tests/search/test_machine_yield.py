@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 import shlex
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,19 +13,22 @@ import numpy as np
 import pytest
 
 from tests.search.plans import JOB
+from threadline.base.arrays import FloatArray
+from threadline.base.workers import Done
 from threadline.cli.main import main
 from threadline.commands.plan import Plan
 from threadline.files import tick_table
 from threadline.machine import load_machine
 from threadline.machine.variants import drawn, uncertain, variant
-from threadline.proof import judge_runs, pipeline, worst_search
+from threadline.proof import judge_runs, pipeline
 from threadline.proof.options import Options
 from threadline.proof.pipeline import open_job, plan_job
+from threadline.proof.worst_machine import Worst, shares_of
 from threadline.proof.worst_search import WorstSearch
 from threadline.search import machine_yield
 from threadline.search.machine_yield import MachineYield
 from threadline.twin import simulate
-from threadline.verdict import Spec, judge, load_spec
+from threadline.verdict import EachRun, Spec, judge, load_spec
 
 
 def test_each_machine_is_judged_as_it_is_alone(asked: tuple[Plan, Spec], monkeypatch) -> None:
@@ -133,10 +137,11 @@ def test_counts_per_unit_are_a_number_like_any_other(
     assert contour["measured"] == pytest.approx(180e-3 / 0.99 - 180e-3, abs=0.5e-3)
 
 
-def test_a_climb_comes_to_the_worst_of_all_corners(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Six numbers have 64 corners; the climb finds the worst of them in fewer than 64 trials."""
+def test_a_climb_comes_to_the_worst_of_all_corners(tmp_path: Path) -> None:
+    """Six numbers have 64 corners; the climb finds the worst of them in fewer than 64 trials.
+
+    Each number alone is worst at its upper end, but the worst corner has the first at the lower.
+    """
     file = tmp_path / "six.toml"
     six = ("x.torque_constant", "x.back_emf", "x.resistance", "y.torque_constant", "y.back_emf")
     varied = ["bodies.x.inertia", *(f"drives.{name}" for name in six)]
@@ -147,26 +152,42 @@ def test_a_climb_comes_to_the_worst_of_all_corners(
     )
     machine = load_machine(file)
     plan = plan_job(open_job(JOB, machine, Options()), machine, Options())
-    study = MachineYield(plan, load_spec(None, machine))
+    study = Made(plan, load_spec(None, machine))
+    weights = np.array([0.03, 0.04, 0.03, 0.03, 0.03, 0.03])
+    study.share_at = lambda parts: 0.5 + parts @ weights - 0.1 * parts[:, 0] * parts[:, 1]
     assert len(study.numbers) == 6
     found = study.worst()
-    assert found.of_corners
-    monkeypatch.setattr(machine_yield, "MOST_CORNERS", 0)
-    monkeypatch.setattr(worst_search, "_CORNERS", 0)
-    monkeypatch.setattr(worst_search, "_LEANING", 0)
-    monkeypatch.setattr(WorstSearch, "_inside", lambda *_: [])
-    tried: list[int] = []
-    climbed = study.worst(None, tried.append)
-    assert not climbed.of_corners
-    assert climbed.share == found.share
-    assert sum(tried) < 64
+    assert found.of_corners and found.parts.tolist() == [-1.0, 1.0, 1.0, 1.0, 1.0, 1.0]
+    climb = WorstSearch(study, 50, corners=0)
+    climb.begin()
+    climb.go_on()
+    share = shares_of(climb.found)[0][climb.worst()]
+    assert share == pytest.approx(found.share, rel=1e-12)
+    assert climb.searched < 64
+
+
+class Made(MachineYield):
+    """Machines with made-up used shares, which are a function of their (k, n) parts."""
+
+    share_at: Callable[[FloatArray], FloatArray]
+
+    def judged(self, parts: FloatArray, done: Done | None = None) -> EachRun:
+        found, shares = super().judged(parts, done), self.share_at(parts)
+        rows = [replace(row, values=row.limit * shares) if row.limit else row for row in found.rows]
+        return replace(found, rows=rows)
+
+    def worst_at(
+        self, parts: FloatArray, share: float, binding: str, *, of_corners: bool = False
+    ) -> Worst:
+        found = super().worst_at(parts, share, binding, of_corners=of_corners)
+        return replace(found, share=share)  # by itself the machine has its real share
 
 
 @pytest.mark.parametrize("most_corners", [12, 0])
 def test_the_worst_machine_may_lie_inside(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, most_corners: int
 ) -> None:
-    """The used share peaks within the tolerance and is 0 at its ends: no corner is as bad."""
+    """The used share is largest half-way to an end of the tolerance: no corner is as bad."""
     file = tmp_path / "one.toml"
     names = [name for number in uncertain(load_machine("lathe-winder")) for name in number.numbers]
     others = [name for name in names if name != "bodies.x.inertia"]
@@ -176,23 +197,16 @@ def test_the_worst_machine_may_lie_inside(
     )
     machine = load_machine(file)
     plan = plan_job(open_job(JOB, machine, Options()), machine, Options())
-    study = MachineYield(plan, load_spec(None, machine))
-    as_it_is = study.judged
-
-    def peaked(parts: np.ndarray, done=None, products=None):
-        found = as_it_is(parts, done)
-        rows = [
-            replace(row, values=row.limit * (1.0 - parts[:, 0] ** 2)) if row.limit else row
-            for row in found.rows
-        ]
-        return replace(found, rows=rows)
-
-    monkeypatch.setattr(study, "judged", peaked)
-    monkeypatch.setattr(study._alone, "judged", peaked)
+    study = Made(plan, load_spec(None, machine))
+    study.share_at = lambda parts: np.interp(
+        parts[:, 0], [-1.0, 0.0, 0.5, 1.0], [0.1, 0.7, 1.0, 0.8]
+    )
     monkeypatch.setattr(machine_yield, "MOST_CORNERS", most_corners)
+    worst = study.worst()
+    assert (worst.parts.tolist(), worst.share, worst.of_corners) == ([0.5], 1.0, False)
     known = study.drawn(20, 1)
     worst = study.worst(known)
-    assert worst.share >= machine_yield.shares_of(known.found)[0].max() > 0.9
+    assert worst.share >= shares_of(known.found)[0].max() > 0.9
     assert np.all(np.abs(worst.parts) < 1.0) and not worst.of_corners
 
 

@@ -164,7 +164,7 @@ def test_every_search_by_pace_names_only_ends_that_pass_the_search_for_a_bad_run
     monkeypatch.setattr(Question, "judged", judged)
     monkeypatch.setattr(paced, "with_worst_machine", worst if over else none)
     monkeypatch.setattr(paced, "with_worst_day", none if over else worst)
-    monkeypatch.setattr(shaft, "_schedule", lambda _: None)
+    monkeypatch.setattr(shaft, "fastest_schedule", lambda _: None)
     found = answered(question)
     best, fastest = found.intervals[0].high, question.high
     assert found.passed and fastest is not None

@@ -15,7 +15,7 @@ from threadline.cli.search_text import resolution_words, settings_words
 from threadline.errors import LimitError
 from threadline.machine import Machine
 from threadline.proof.options import Options
-from threadline.search import fastest_job, least_limits, whole_jobs
+from threadline.search import fastest_job, least_limits
 from threadline.search.deadline import INTERRUPTED, OUT_OF_TIME, Deadline, HaltError
 from threadline.search.fastest import RANGE, Fastest, Grid, Interval, find_fastest
 from threadline.search.least_limits import Shares
@@ -165,7 +165,7 @@ def test_a_long_job_is_not_searched_with_limits_that_cannot_be_the_answer(
         raise KeyboardInterrupt
 
     monkeypatch.setattr(least_limits, "fastest_feed", at_the_highest)
-    monkeypatch.setattr(whole_jobs, "_of_whole", interrupted)
+    monkeypatch.setattr(Question, "judged", interrupted)
     result = fastest_job(
         Question(
             job=job,

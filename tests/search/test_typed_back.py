@@ -28,11 +28,11 @@ from threadline.proof.pipeline import (
     plan_job,
     prove_plan,
 )
-from threadline.search import fastest_needle, least_limits, mismatch, shaft
+from threadline.search import fastest_needle, mismatch, shaft
 from threadline.search.by_pace import speeds
 from threadline.search.fastest import COARSE, Grid, find_fastest
 from threadline.search.feed import fastest_feed
-from threadline.search.paced import Question
+from threadline.search.paced import Effort, Question, searching_with
 from threadline.verdict import Result, Status, Verdict, load_spec
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
@@ -309,19 +309,15 @@ def test_interval_ends_early_if_the_used_share_jumps_between_feeds(phase: float)
     assert sum(any(used(feed) > 1.0 for feed in ten) for ten in sets) <= 3
 
 
-def test_a_law_is_typed_back(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_law_is_typed_back(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """The search and its proof name the law that they ran with; here it is a user's table."""
-    monkeypatch.setattr(least_limits, "_LADDER", (1.0,))
-    monkeypatch.setattr(least_limits, "_SCAN", Grid(points=2))
-    monkeypatch.setattr(least_limits, "_CLOSELY", Grid(points=2, near=1))
     file = tmp_path / "my.law.csv"
     write_law(law("cycloidal"), file)
     job = tmp_path / "short.prg"
     job.write_text("G91\nG1 X5 F1000\nG1 X-5\nM30\n", encoding="utf-8")
     asked = ["--law", str(file), "--low", "20 mm/s", "--high", "40 mm/s", "--nominal"]
-    with pytest.raises(SystemExit) as left:
+    few = Effort(shares=(1.0,), finest=Grid(points=2, near=1))
+    with searching_with(few), pytest.raises(SystemExit) as left:
         main(["fastest", str(job), "-m", "lathe-winder", *asked])
     out = capsys.readouterr().out
     assert left.value.code == 0

@@ -21,7 +21,6 @@ from threadline.machine import load_machine
 from threadline.motion.path.interpolations import OPTIMAL
 from threadline.proof.options import Options
 from threadline.proof.pipeline import open_job
-from threadline.search import cycle_robust
 from threadline.search import shaft as shaft_search
 from threadline.search.cycle import fastest_cycle
 from threadline.search.cycle_robust import robust_cycle
@@ -29,7 +28,7 @@ from threadline.search.deadline import INTERRUPTED, OUT_OF_TIME, Deadline, HaltE
 from threadline.search.fastest import Grid, find_fastest
 from threadline.search.feed import fastest_needle
 from threadline.search.least_limits import fastest_job
-from threadline.search.paced import Question
+from threadline.search.paced import Effort, Question
 from threadline.search.shaft import fastest_shaft
 from threadline.verdict import Criterion, Verdict, load_spec
 
@@ -215,14 +214,11 @@ def test_cycles_end_with_the_best_so_far(interrupts: bool) -> None:
     assert until.ended == (INTERRUPTED if interrupts else OUT_OF_TIME)
 
 
-def test_a_cycle_for_a_band_ends_with_the_one_that_is_tried(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_cycle_for_a_band_ends_with_the_one_that_is_tried(tmp_path: Path) -> None:
     """No cycle is as short as this limit: without an end of the time ten cycles are tried.
 
     One command of the move is searched, in place of one for each of five shares of the limit.
     """
-    monkeypatch.setattr(cycle_robust, "_SHARES", (0.9,))
     machine = load_machine("letter-placer")
     file = tmp_path / "across.toml"
     file.write_text(
@@ -235,7 +231,9 @@ def test_a_cycle_for_a_band_ends_with_the_one_that_is_tried(
         spec, criteria=(*spec.criteria, Criterion(name="cycle_time", limit=1e-3, required=True))
     )
     until = After(0)
-    found = robust_cycle(Question(job=job, machine=machine, spec=strict, until=until), 0.1)
+    one = Effort(command_shares=(0.9,))
+    asked = Question(job=job, machine=machine, spec=strict, until=until, effort=one)
+    found = robust_cycle(asked, 0.1)
     assert (found.job, found.tried, until.ended) == (None, 1, OUT_OF_TIME)
 
 

@@ -283,7 +283,7 @@ def test_the_beam_finds_the_fastest_of_all_schedules() -> None:
         grid = Speeds.between((0.36, 0.85, 0.85), 0.12, pace.share, 0.6366)
         found = fastest_turns(
             grid,
-            pace._swings(grid),
+            pace.swings_of(grid),
             TurnMoves(ways_m=units * 1e-4, needle=moves.needle, shortest_s=shortest_s),
             1e-4,
             pace.share,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
@@ -22,7 +23,7 @@ from threadline.proof.pipeline import NOMINAL, REPEATED, Trials, plan_job, prove
 from threadline.search import paced, shaft
 from threadline.search.fastest import Grid, find_fastest
 from threadline.search.paced import Question
-from threadline.verdict import Verdict, load_spec
+from threadline.verdict import Result, Status, Verdict, load_spec
 
 MACHINE = load_machine("schiffli-frame")
 SPEC = load_spec(None, MACHINE)
@@ -61,7 +62,6 @@ def test_speeds_that_are_far_within_are_not_judged_by_all_runs(
     found = []
     for share in (0.8, 0.0):
         counted.clear()
-        monkeypatch.setattr(shaft, "_FAR", share)
         one = shaft.constant_speeds(
             Question(
                 job=job,
@@ -73,6 +73,7 @@ def test_speeds_that_are_far_within_are_not_judged_by_all_runs(
                 trials=eight,
             ),
             Grid(points=4, near=1, edge=5e-3),
+            far=share,
         )
         found.append((one.intervals, one.limited_by, sum(counted)))
         assert one.best is not None
@@ -179,7 +180,7 @@ def test_the_schedule_has_the_largest_tolerance_that_passes(
 
     monkeypatch.setattr(shaft, "plan_job", lambda _job, _machine, options: options.tolerance_m)
     monkeypatch.setattr(shaft, "try_plan", tried)
-    found = shaft._schedule(Question(job=job, machine=MACHINE, spec=SPEC, options=Options()))
+    found = shaft.fastest_schedule(Question(job=job, machine=MACHINE, spec=SPEC, options=Options()))
     assert isinstance(found, _Tried)
     assert most_m - 1.2 * limit_m / 64 <= found.plan <= most_m
 
@@ -194,7 +195,7 @@ def test_the_answer_is_the_faster_of_constant_speed_and_schedule(
     schedule: Any = SimpleNamespace(plan=plan, verdict="of the schedule")
     monkeypatch.setattr(shaft, "constant_speeds", lambda _: constant)
     monkeypatch.setattr(shaft, "at_speed", lambda *_: SimpleNamespace(duration_s=10.0))
-    monkeypatch.setattr(shaft, "_schedule", lambda _: schedule)
+    monkeypatch.setattr(shaft, "fastest_schedule", lambda _: schedule)
     found: Any = shaft.fastest_shaft(
         Question(job=job, machine=MACHINE, spec=SPEC, options=Options())
     )
@@ -224,14 +225,12 @@ def test_a_search_without_a_lowest_speed_begins_at_half_the_speed_of_the_slowest
     assert ranges == [(pytest.approx(half), highest)]
 
 
-def test_an_end_that_more_runs_refuse_is_searched_again_with_all(
-    job: Job, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_end_that_more_runs_refuse_is_searched_again_with_all(job: Job) -> None:
     """One run finds every speed far within the limits; the answer still passes twenty runs."""
-    monkeypatch.setattr(shaft, "_far_within", lambda *_: True)
     found = shaft.constant_speeds(
         Question(job=job, machine=MACHINE, spec=SPEC, options=Options(), trials=Trials(repeats=20)),
         Grid(points=6, near=0, edge=5e-3),
+        far=math.inf,
     )
     for interval in found.intervals:
         for end in (interval.low, interval.high):
@@ -245,12 +244,22 @@ def test_one_end_that_more_runs_refuse_is_enough_to_search_again_with_all(
 ) -> None:
     """One run passes everywhere, all runs up to 1 stitch/s: the lower end stands, the upper not."""
 
-    def tried(speed_hz: float, _spec: object, trials: Trials, *_: object, **__: object) -> Any:
-        failed = "" if trials.repeats == 1 or speed_hz <= 1.0 else "it swings"
-        return SimpleNamespace(verdict=Verdict(results=(), simulated=True, incomplete=failed))
+    def tried(plan: Any, _spec: object, trials: Trials, *_: object, **__: object) -> Any:
+        failed = "" if trials.repeats == 1 or plan.speed_hz <= 1.0 else "it swings"
+        residual = Result(
+            name="stitch_residual", axis="", measured=1e-9, limit=1.0, unit="m",
+            status=Status.PASSED,
+        )  # fmt: skip
+        return SimpleNamespace(
+            verdict=Verdict(results=(residual,), simulated=True, incomplete=failed)
+        )
 
-    monkeypatch.setattr(shaft, "_far_within", lambda *_: True)
-    monkeypatch.setattr(shaft, "at_speed", lambda _question, speed_hz: speed_hz)
+    pace = SimpleNamespace(most_swings_m=lambda *_: np.zeros(1))
+    stitched = SimpleNamespace(pace=pace, turns=SimpleNamespace(moves=None, turn_s=None))
+    monkeypatch.setattr(
+        shaft, "at_speed",
+        lambda _question, speed_hz: SimpleNamespace(speed_hz=speed_hz, stitched=stitched),
+    )  # fmt: skip
     monkeypatch.setattr(paced, "try_plan", tried)
     found = shaft.constant_speeds(
         Question(

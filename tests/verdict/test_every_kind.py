@@ -44,7 +44,7 @@ def test_no_change_of_a_kind_changes_its_verdict(kind: str, tmp_path: Path) -> N
     assert min(tally.cases.values()) >= 1
     assert any(cell.endswith("|proved") for cell in tally.doors)
     kept = tmp_path / "kept.jsonl"
-    fuzz_every_kind._keep(kept, tally)
+    fuzz_every_kind.keep(kept, tally)
     (again,) = fuzz_every_kind.kept_tallies(kept)
     assert again == tally
     assert f"{tally.cases.total()} cases in 1 rounds" in fuzz_every_kind.table([again])

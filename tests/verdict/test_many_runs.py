@@ -6,7 +6,6 @@ measures with closed forms.
 
 from __future__ import annotations
 
-import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -24,7 +23,7 @@ from threadline.proof import judge_runs
 from threadline.proof.judge_runs import RunsJudge
 from threadline.proof.options import Options
 from threadline.proof.pipeline import plan_job
-from threadline.twin import simulate, simulate_runs
+from threadline.twin import fastest_rates, simulate, simulate_runs
 from threadline.verdict import Criterion, Judge, Spec, judge, load_spec
 from threadline.verdict.measure import MeasureKind, OfPlan, RunReading
 from threadline.verdict.registry import MEASURES
@@ -172,20 +171,24 @@ def test_any_part_and_any_thread_gives_the_same(monkeypatch) -> None:
         np.testing.assert_array_equal(theirs.values, third.values)
 
 
-def test_blocks_of_any_length_give_the_same_bits(monkeypatch) -> None:
-    """Memory is bounded: a block holds at most so many rows times runs."""
+def test_blocks_of_any_length_give_the_same_bits() -> None:
+    """Memory is bounded: a block holds at most so many rows times runs.
+
+    So 16 of 512 runs are simulated in shorter blocks than the same runs without the others.
+    """
     plan, spec = winder()
-    numbers, phases = drawn(plan, 16)
-    whole = RunsJudge(plan, spec).judged(numbers, phases)
-    module = sys.modules["threadline.twin.simulate"]
-    monkeypatch.setattr(module, "_MOST_OF_RUNS", 16 * 100)
-    monkeypatch.setattr(module, "_LEAST_ROWS", 10)
-    recording = simulate_runs(tick_table(plan.commands), Values.of(plan.machine, numbers))
-    longest = max(len(block.samples["operation"]) for block in recording)
-    assert longest <= 100
-    cut = RunsJudge(plan, spec).judged(numbers, phases)
-    for mine, theirs in zip(whole.rows, cut.rows, strict=True):
-        np.testing.assert_array_equal(mine.values, theirs.values)
+    numbers, phases = drawn(plan, 512)
+    table, longest, found = tick_table(plan.commands), [], []
+    every = Values.of(plan.machine, numbers)
+    rates = tuple(float(rate.max()) for rate in fastest_rates(table, every))
+    for count in (16, 512):
+        values = Values.of(plan.machine, {name: of[:count] for name, of in numbers.items()})
+        recording = simulate_runs(table, values, encoder_phase=phases[:count], least_rates=rates)
+        longest.append(max(len(block.samples["operation"]) for block in recording))
+        found.append(Judge(plan, spec).each(recording))
+    assert longest[0] > 1.5 * longest[1] and longest[1] * 512 <= 1 << 18
+    for mine, theirs in zip(found[0].rows, found[1].rows, strict=True):
+        np.testing.assert_array_equal(mine.values, theirs.values[:16])
 
 
 def test_samples_of_many_runs_are_judged_where_the_twin_put_them() -> None:

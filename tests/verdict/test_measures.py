@@ -10,7 +10,7 @@ import pytest
 
 from threadline.errors import RecordingError
 from threadline.files import Channel, ChannelKind, Clock, Recording, RecordingBlock, Stream
-from threadline.verdict import Criterion, Judge, Status, blocks, judge
+from threadline.verdict import Criterion, Judge, Status, blocks, judge, motion_run
 
 from .builders import SERVO, TICK_S, follow, plan_through, record, spec_of
 
@@ -153,13 +153,14 @@ def test_short_blocks_are_joined_and_measure_the_same(
              "settling_time")  # fmt: skip
     criteria = [Criterion(name=name) for name in names]
     fed: list[int] = []
-    one = blocks._block
+    judged_blocks = motion_run.judged_blocks
 
-    def counted(part, *rest):
-        fed.append(len(part))
-        return one(part, *rest)
+    def counted(*recording):
+        for block in judged_blocks(*recording):
+            fed.append(len(block.time_s))
+            yield block
 
-    monkeypatch.setattr(blocks, "_block", counted)
+    monkeypatch.setattr(motion_run, "judged_blocks", counted)
     found = []
     for few, copied in ((0, 0), (1024, 60_000)):
         monkeypatch.setattr(blocks, "FEW", few)

@@ -24,16 +24,12 @@ def test_few_points_measure_as_many_do(tmp_path, monkeypatch: pytest.MonkeyPatch
     plan = plan_of(tmp_path, f"G21 G90\n{zigzag}M2\n")
     taken = []
 
-    def counted(pieces, path, beside):
-        def listed():
-            for points, operation in pieces:
-                taken.append(len(points))
-                yield points, operation
+    def counted(measures, block):
+        taken.append(len(block.time_s))
+        feed(measures, block)
 
-        return blocks(listed(), path, beside)
-
-    blocks = deviation._blocks
-    monkeypatch.setattr(deviation, "_blocks", counted)
+    feed = deviation.feed
+    monkeypatch.setattr(deviation, "feed", counted)
     (few,) = deviation.measure_motion_deviation(plan)
     count = sum(taken)
     monkeypatch.setattr(deviation, "CHORD_ERROR_M", 1e-18)

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from threadline.files import ChannelKind, Recording, Stream
-from threadline.verdict import Criterion, Judge, judge, progress_error
+from threadline.files import ChannelKind, Recording, RecordingBlock, Stream
+from threadline.verdict import Criterion, Judge, judge
 
 from .builders import TICK_S, follow, plan_through, record, spec_of
 
@@ -40,24 +41,21 @@ def side_by_side(ways: list[np.ndarray]) -> Recording:
         )
         for rows in zip(*each, strict=True)
     ]
-    return replace(alone(ways[0]), blocks=Stream.of(blocks), runs=len(ways))
+    return replace(alone(ways[0]), blocks=Stream(read, READINGS, tuple(blocks)), runs=len(ways))
+
+
+READINGS: list[int] = []
+"""An entry for each reading of a recording."""
+
+
+def read(readings: list[int], blocks: tuple[RecordingBlock, ...]) -> Iterator[RecordingBlock]:
+    """Yield the blocks of a recording, and note that it is read."""
+    readings.append(1)
+    return iter(blocks)
 
 
 def late(by: int) -> np.ndarray:
     return np.vstack([np.repeat(COMMAND[:1], by, axis=0), COMMAND[:-by]])
-
-
-def again(monkeypatch: pytest.MonkeyPatch) -> list[int]:
-    """Record each second reading."""
-    seen: list[int] = []
-    read = progress_error._Progress._again
-
-    def counted(self):
-        seen.append(1)
-        return read(self)
-
-    monkeypatch.setattr(progress_error._Progress, "_again", counted)
-    return seen
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -76,38 +74,40 @@ def test_each_run_has_the_error_that_it_has_alone(seed: int, scale_m: float) -> 
     assert worst_of_all == (pytest.approx(one.measured, abs=1e-12), one.time_s, one.note, worst + 1)
 
 
-def test_a_place_that_was_given_up_and_could_be_better_is_looked_at_again(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_place_that_was_given_up_and_could_be_better_is_looked_at_again() -> None:
     """Late by 2 samples, then back for a while to where 9 samples are: one run of two.
 
     If that way back were right, a tool would have had to stay 14 mm behind, and this place was
     dropped long before. With the remaining places the error would be 14 mm; the least is 7 mm.
     """
-    seen = again(monkeypatch)
     good, back = late(2), late(2)
+    READINGS.clear()
     np.testing.assert_array_less(judged_values([good, good + 1e-6]), 1e-4)
-    assert not seen
+    once = len(READINGS)
+    READINGS.clear()
     back[14:17] = late(9)[14:17]
     values = judged_values([good, back])
-    assert seen
+    assert len(READINGS) == once + 1
     single = judge([alone(back)], PLAN, SPEC).result("progress_error").measured
     assert values[1] == pytest.approx(single, abs=1e-12)
     assert values[0] < 1e-9 and 5e-3 < single < 9e-3
     # Further runs of the plan keep places as far behind: they are read once.
-    times = len(seen)
+    READINGS.clear()
     np.testing.assert_array_equal(judged_values([good, back]), values)
-    assert len(seen) == times
+    assert len(READINGS) == once
 
 
 def judged_values(ways: list[np.ndarray]) -> np.ndarray:
     return Judge(PLAN, SPEC).each(side_by_side(ways)).row("progress_error").values
 
 
-def test_every_place_of_a_single_run_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_every_place_of_a_single_run_is_kept() -> None:
     """The run may come from a live machine, whose samples can be read only once."""
-    seen = again(monkeypatch)
     back = late(2)
-    back[14:17] = late(9)[14:17]
-    judge([alone(back)], PLAN, SPEC)
-    assert not seen
+    readings = []
+    for way in (late(2), back):
+        READINGS.clear()
+        judge([side_by_side([way])], PLAN, SPEC)
+        readings.append(len(READINGS))
+        back[14:17] = late(9)[14:17]
+    assert readings[0] == readings[1]

@@ -93,18 +93,18 @@ def program(
     """
     first = np.round(positions[0] * np.array([0.0, 1e3, 1e3]), 3)
     lines = ["%", "O 999"]
-    lines += [_block(10 * k, row) for k, row in enumerate(steps(positions), start=1)]
+    lines += [block(10 * k, row) for k, row in enumerate(steps(positions), start=1)]
     lines += ["M99;", "O 998;", "G01 F 1200;", "G91;"]
     for axis, way in ("Y", first[2]), ("X", first[1]):
         ends = np.round(np.linspace(0.0, way, pieces + 1), 3)
         lines += [f"{axis} {step:.3f};" for step in np.diff(ends)]
     # A spline that does not stop here would round the corner between approach and circuit.
     lines += ["M00;"] * (pieces > 1) + [f"M98 P 999 L {circuits};"]
-    lines += [_block(10 * k, row) for k, row in enumerate(() if rows is None else rows, start=1)]
+    lines += [block(10 * k, row) for k, row in enumerate(() if rows is None else rows, start=1)]
     return "\n".join([*lines, "M30;", "%", ""])
 
 
-def _block(number: int, row: FloatArray) -> str:
+def block(number: int, row: FloatArray) -> str:
     words = [f"{axis} {value:.3f}" for axis, value in zip("AXY", row, strict=True) if value]
     return f"N {number} {' '.join(words)};"
 

@@ -184,7 +184,7 @@ def test_layers_grow_by_their_thickness_and_come_near_the_eye() -> None:
     assert product.thickness is not None
     near = Clearance(product.surface, (), tool, 0.009, product.width.si * product.thickness, 5e-3)
     found = near.feed(eyes, fibre)
-    middle = near.thickness_m[(near._x > 0.05) & (near._x < 0.15)]
+    middle = near.thickness_m[(near.bare_m[:, 0] > 0.05) & (near.bare_m[:, 0] < 0.15)]
     np.testing.assert_allclose(middle, 5 * 0.4e-3, rtol=0.03)
     # 10 mm from the bare mandrel, less 1 mm of the eye, the wanted 9 mm, and the layers.
     assert 0.97 * 4 * 0.4e-3 < found.max() < 5 * 0.4e-3
@@ -219,7 +219,7 @@ def _sliced(triangles: FloatArray, ends: FloatArray, normal: FloatArray) -> Floa
 
 def _hollow_of_mesh(near: Clearance, ends: FloatArray, normal: FloatArray) -> float:
     """Return the hollow under a string over the layers, by a mesh of the layers and a hull."""
-    outline = np.column_stack([near._x, near._r]) + near.thickness_m[:, None] * near._normal
+    outline = near.bare_m + near.thickness_m[:, None] * near.normal
     points = _sliced(_turned(outline, 360), ends, normal)
     length = float(np.linalg.norm(ends[1] - ends[0]))
     grid = np.linspace(0.0, length, 1201)
@@ -290,9 +290,9 @@ def test_a_bead_is_in_the_way_of_a_free_fibre_that_comes_back() -> None:
     assert turns[at] > 22.0 and float(product.surface.at(fibre.u[at : at + 1])[0][0, 0]) > 0.085
     without = Clearance(product.surface, (), tool, 0.0)
     assert without.feed(eyes, fibre).max() == 0.0
-    middle = pile.thickness_m[np.abs(pile._x - 0.1) < 2e-3]
+    middle = pile.thickness_m[np.abs(pile.bare_m[:, 0] - 0.1) < 2e-3]
     np.testing.assert_allclose(middle, 12 * 0.4e-3, rtol=0.06)
-    assert pile.thickness_m[np.abs(pile._x - 0.1) > 3e-3].max() < 2 * 0.4e-3
+    assert pile.thickness_m[np.abs(pile.bare_m[:, 0] - 0.1) > 3e-3].max() < 2 * 0.4e-3
     hollows = []
     for row in (at - 20, at, at + 5, at + 10):
         by_mesh = _hollow_of_mesh(pile, *_free_fibre(product, eyes, fibre, row))

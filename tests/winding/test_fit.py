@@ -87,7 +87,7 @@ def test_the_reason_counts_the_pay_out_point_as_the_replay_does() -> None:
     rng = np.random.default_rng(3)
     eyes, offset = rng.uniform(-1.0, 1.0, (50, 6)), (0.02, 0.08, -0.03)
     surface = product_of_text(product_text(VESSEL)).surface
-    found = np.column_stack(Witness(surface, offset)._places(eyes))
+    found = np.column_stack(Witness(surface, offset).payout_points(eyes))
     payout = np.array([*offset, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0])
     wanted = [centre(one, np.zeros(6), payout)[:3] for one in eyes]
     assert found == pytest.approx(np.array(wanted), abs=1e-15)

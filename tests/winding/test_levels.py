@@ -76,7 +76,7 @@ class Case:
 def _program(rows: FloatArray, first: FloatArray, feed: int) -> str:
     along, across = 1e3 * first[1], 1e3 * first[2]
     head = ["%", "O 998;", f"G01 F {feed};", "G91;", f"Y {across:.3f};", f"X {along:.3f};"]
-    blocks = [programs._block(10 * k, row) for k, row in enumerate(rows, start=1)]
+    blocks = [programs.block(10 * k, row) for k, row in enumerate(rows, start=1)]
     return "\n".join([*head, *blocks, "M30;", "%", ""])
 
 

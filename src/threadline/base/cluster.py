@@ -122,6 +122,9 @@ class Cluster:
     ----------
     address
         Address of the scheduler, as ``parse_cluster`` returns it.
+    ahead
+        Number of tasks that are sent before the answer to the first of them is read; the answers do
+        not depend on it. None: four for each core, at least 16.
 
     Raises
     ------
@@ -134,8 +137,9 @@ class Cluster:
 
     _versions_there = staticmethod(versions)
 
-    def __init__(self, address: str) -> None:
+    def __init__(self, address: str, *, ahead: int | None = None) -> None:
         self.address = address
+        self._ahead = ahead
         self._wanted = versions()
         self._client = _connected(address)
         self._seen_s = time.monotonic()
@@ -183,7 +187,7 @@ class Cluster:
         item_iterator, taken_items = iter(items), deque[T]()
         try:
             while True:
-                max_tasks = max(_AHEAD * self.cores, _LEAST_AHEAD)
+                max_tasks = self._ahead or max(_AHEAD * self.cores, _LEAST_AHEAD)
                 while len(waiting) < max_tasks and (
                     task := self._task(item_iterator, taken_items, digest)
                 ):

@@ -158,7 +158,7 @@ def design(
     if json:
         print_json(_content(result, [str(p) for p in written], page) | {"command": prove_command})
     else:
-        _show(result)
+        show_design(result)
         for path in written:
             say(f"Wrote {path}")
         if result.found is not None:
@@ -228,7 +228,8 @@ def _prove_command(
     return command_line("prove", job, {"-m": written[0], **words, **feed_forward})
 
 
-def _show(result: DesignResult) -> None:
+def show_design(result: DesignResult) -> None:
+    """Print the smallest change, its proof, and the other machines that were found."""
     title = f"{result.job.name} on {result.machine.name}"
     if result.found is not None:
         print_table(f"{title}: the smallest change", *change_rows(result))

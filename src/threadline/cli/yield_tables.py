@@ -16,7 +16,6 @@ from threadline.proof.worst_machine import shares_of
 from threadline.search.influence import MACHINES, CheapestSet, Influence, influence, judgements
 from threadline.search.machine_yield import MachineYield, yield_words
 
-_MACHINES = MACHINES
 SAMPLES = 256
 _SAMPLES_ALONE = 16  # number of samples if machines are simulated one by one
 
@@ -66,7 +65,7 @@ def sensitivities_of(
 ) -> Sensitivities:
     """Return the sensitivities; use at most ``variants`` machines if simulated one by one."""
     normal = [number.normal for number in judged.numbers]
-    machines = _MACHINES if judged.together else min(_MACHINES, variants)
+    machines = MACHINES if judged.together else min(MACHINES, variants)
     samples = SAMPLES if judged.together else _SAMPLES_ALONE
     total = (len(normal) + 1) * machines + judgements(len(normal), samples)
     done = counted(progress, "what the yield depends on", total)

@@ -40,7 +40,8 @@ from threadline.machine import Machine
 from threadline.motion.timing.types import Trajectory
 
 MAX_BODY = 100_000
-_MAX_KEPT = 1_000_000
+MAX_KEPT = 1_000_000
+"""Largest number of blocks of bodies that are in memory at the same time."""
 _NINTH = 10**8 // 2  # one over two units in the ninth digit of a number that begins with 1
 _NEAR_M = 1e-5  # rotary axes at their radius
 _NO_SUBROUTINES: Mapping[str, str] = {
@@ -60,14 +61,14 @@ class Loop:
     passes: int
 
 
-def fold(blocks: Iterable[OutBlock]) -> Iterator[OutBlock | Loop]:
+def fold(blocks: Iterable[OutBlock], *, most_kept: int = MAX_KEPT) -> Iterator[OutBlock | Loop]:
     """Return ``blocks`` with equal passes of outermost subroutines as loops.
 
     Nested subroutines are unrolled. Passes that differ, for example where a program sets absolute
     positions, become separate loops. Times that differ in the ninth digit, from rounding, do not
     count: passes take the times of the first. Bodies stay in memory until the end of the program.
     A body longer than ``MAX_BODY`` blocks, and every body that would bring the blocks in memory
-    above a million, is written out instead.
+    above ``most_kept``, is written out instead.
     """
     kept: dict[tuple[OutBlock, ...], None] = {}
     kept_blocks = 0
@@ -87,7 +88,7 @@ def fold(blocks: Iterable[OutBlock]) -> Iterator[OutBlock | Loop]:
             yield pending
             pending = None
         if body not in kept:
-            if len(body) > MAX_BODY or kept_blocks + len(body) > _MAX_KEPT:
+            if len(body) > MAX_BODY or kept_blocks + len(body) > most_kept:
                 yield from chain(body, group)
                 continue
             kept[body] = None

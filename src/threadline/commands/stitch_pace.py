@@ -254,7 +254,7 @@ class Pace:
             np.maximum(rigid, self.loading_turns_s(moves)), self.shaft.slowest_turn.si
         )
         speeds, tolerance_m = self._speeds(moves, shortest_s), self.tolerance_m
-        swings = self._swings(speeds)
+        swings = self.swings_of(speeds)
         best: tuple[float, FastestTurns] | None = None
         bound_s: float | None = None
         problem = TurnMoves(ways_m=ways_m, needle=moves.needle, shortest_s=shortest_s)
@@ -352,7 +352,7 @@ class Pace:
         banded = any(low < high for low, high in self.bands.values())
         return Speeds.between(ends_s, _STEPS[banded], self.share, most)
 
-    def _swings(self, speeds: Speeds) -> Swings:
+    def swings_of(self, speeds: Speeds) -> Swings:
         """Return the effect of each turn time on the swing of every mode on every machine."""
         machines = self._over_band(_SEARCHED, DAMPING_OF_DAYS)
         nominal = len(machines)

@@ -107,7 +107,8 @@ def radius_segment(
 
 
 CONTOUR_KEYS = ("layer", "unit", "closed", "points")
-_POINT = ("to", "bulge", "centre", "radius", "turn", "large")
+POINT_KEYS = ("to", "bulge", "centre", "radius", "turn", "large")
+"""Keys of a contour, and of one of its points, in a file."""
 
 
 def written_contour(table: dict[str, Any], factor: float, line: int) -> Pieces:
@@ -169,10 +170,10 @@ def _number(point: dict[str, Any], key: str) -> float:
 def _segment(
     begin: FloatArray, end: FloatArray, point: dict[str, Any], factor: float, line: int
 ) -> Pieces:
-    unknown = set(point) - set(_POINT)
+    unknown = set(point) - set(POINT_KEYS)
     if unknown:
         key = sorted(unknown)[0]
-        raise ValueError(f"unknown key {key!r} of a point. {nearest(key, _POINT)}")
+        raise ValueError(f"unknown key {key!r} of a point. {nearest(key, POINT_KEYS)}")
     if len({"bulge", "centre", "radius"} & set(point)) > 1:
         raise ValueError("an arc is given by its bulge, its centre or its radius, not by two")
     turn = point.get("turn", "ccw")

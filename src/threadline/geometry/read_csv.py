@@ -24,7 +24,8 @@ from threadline.units import unit_factor
 
 _COLUMN = re.compile(r"([a-zA-Z]+)\s*(?:[\[(]\s*([a-zA-Z]+)\s*[\])])?")
 _LENGTHS = ("x", "y", "cx", "cy")
-_KNOWN = (*_LENGTHS, "bulge", "turn", "layer")
+COLUMNS = (*_LENGTHS, "bulge", "turn", "layer")
+"""Columns that a table of points may have."""
 _EXAMPLE = 'Begin the file with a row like "x [mm], y [mm], bulge".'
 
 
@@ -89,11 +90,11 @@ def _columns(heading: list[str], unit: str | None, place: Place) -> list[tuple[s
     for cell in heading:
         match = _COLUMN.fullmatch(cell)
         name = match[1].lower() if match else ""
-        if match is None or name not in _KNOWN:
+        if match is None or name not in COLUMNS:
             raise JobError(
                 f"unknown column {cell[:40]!r}",
                 place=place,
-                remedy=f"Columns are {', '.join(_KNOWN)}. {_EXAMPLE}",
+                remedy=f"Columns are {', '.join(COLUMNS)}. {_EXAMPLE}",
             )
         factor = 1.0
         if name in _LENGTHS:

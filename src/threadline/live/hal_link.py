@@ -33,7 +33,7 @@ from threadline.proof.kinds import kind_of
 
 _LOOK_S = 0.005
 """Interval between two readings of HAL's samples, s."""
-_CHILD = import_and_call("threadline.live.hal_link", "hal_main")
+CHILD = import_and_call("threadline.live.hal_link", "hal_main")
 
 
 @contextmanager
@@ -45,7 +45,7 @@ def hal_link(machine: Machine, start: IntArray, *, plant: bool) -> Iterator[Conn
     machine, start, plant
         See ``HalSession``.
     """
-    with process_link(_CHILD, (machine, start, plant)) as connection:
+    with process_link(CHILD, (machine, start, plant)) as connection:
         yield connection
 
 

@@ -52,7 +52,7 @@ _WAKE_S = 0.005
 """Period in s of playing in real time; ticks that are shorter are played several at a time."""
 _REPORT_S = 0.025
 """Period of reports in s, unless something is urgent."""
-_CHILD = import_and_call("threadline.live.sim_process", "machine_main")
+CHILD = import_and_call("threadline.live.sim_process", "machine_main")
 
 
 def group_ticks(machine: Machine, speed: float) -> int:
@@ -81,7 +81,7 @@ def sim_link(
     fault
         Injected fault, or None.
     """
-    with process_link(_CHILD, (machine, start, speed, fault)) as connection:
+    with process_link(CHILD, (machine, start, speed, fault)) as connection:
         yield connection
 
 

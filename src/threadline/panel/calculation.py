@@ -112,7 +112,7 @@ def add_guide(app: FastAPI, guide: MachineGuide) -> None:
         return FileResponse(guide.printable, media_type="application/pdf")
 
 
-_CHILD = import_and_call("threadline.panel.calculating", "main")
+CHILD = import_and_call("threadline.panel.calculating", "main")
 _PREVIEW = import_and_call("threadline.panel.job_views", "main")
 PREVIEW_S = 20.0  # time limit for reading a program that is shown before its calculation
 _MOST_LINE = 32 << 20
@@ -238,7 +238,7 @@ class Calculation:
         }
         try:
             process = await asyncio.create_subprocess_exec(
-                *program_apart(_CHILD),
+                *program_apart(CHILD),
                 stdin=asyncio.subprocess.PIPE, stdout=asyncio.subprocess.PIPE,
                 limit=_MOST_LINE, start_new_session=True,
             )  # fmt: skip

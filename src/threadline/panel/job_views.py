@@ -66,7 +66,7 @@ def plan_views(proof: Proof) -> dict[str, Any]:
         "steps": _steps(job, operations),
         "lanes": _lanes(proof.recording),
         "turn_rounds": _turn_rounds(proof),
-        "tension": _tension(proof.recording),
+        "tension": tension_figures(proof.recording),
     }
 
 
@@ -208,7 +208,7 @@ def _turn_rounds(proof: Proof) -> dict[str, Any] | None:
     }
 
 
-def _tension(recording: Recording) -> dict[str, Any] | None:
+def tension_figures(recording: Recording) -> dict[str, Any] | None:
     """Return the fibre's tension in the simulated run, N: means over intervals, least and most.
 
     None if the machine has no spool, or the job has no product.

@@ -17,7 +17,7 @@ from threadline.errors import StoreError
 from threadline.live.store.run_store import TRACE, opened, verdict_of_run
 from threadline.panel.calculation import answer_of
 
-_CHILD = import_and_call("threadline.panel.thinned_traces", "main")
+CHILD = import_and_call("threadline.panel.thinned_traces", "main")
 _TOLD = ("run", "started", "job", "ended", "text", "passed")
 _MOST_RUNS = 200
 _JUDGED = (0, 1)  # exit statuses of a report that was written: in spec, out of spec
@@ -60,7 +60,7 @@ async def in_process(trace: Path, out: Path) -> str:
         File of the recording, and the file to write; its suffix sets the format.
     """
     async with _one_at_a_time:
-        status, output, _ = await answer_of(*program_apart(_CHILD), str(trace), str(out))
+        status, output, _ = await answer_of(*program_apart(CHILD), str(trace), str(out))
     ended = "the trace cannot be read: the reading process has ended" if status else ""
     return output.decode("utf-8", "replace").strip() or ended
 

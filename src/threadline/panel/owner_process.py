@@ -142,7 +142,7 @@ def _wait_for(process: subprocess.Popen[bytes]) -> None:
         process.wait(_ENDS_S)
 
 
-_CHILD = import_and_call("threadline.panel.owner_process", "owner_main")
+CHILD = import_and_call("threadline.panel.owner_process", "owner_main")
 SEND_S = 2.0
 """Time in s after which an unsent message means that the other side is gone."""
 
@@ -155,7 +155,7 @@ def start_owner(owned: Owned) -> tuple[subprocess.Popen[bytes], Connection]:
     """
     ours, theirs = socket.socketpair()
     process = subprocess.Popen(  # noqa: S603  # this interpreter with fixed arguments
-        [*program_apart(_CHILD), str(theirs.fileno())],
+        [*program_apart(CHILD), str(theirs.fileno())],
         stdin=subprocess.PIPE,
         pass_fds=(theirs.fileno(),),
         env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))},

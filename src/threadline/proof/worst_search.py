@@ -18,10 +18,10 @@ simulated in batches, and if they are simulated one by one."""
 _REPLAYED_TICKS = 50_000_000
 """Largest number of ticks, over all runs after the ends, of runs whose fibre is replayed: such a
 tick takes about ten times as long as a tick without a product."""
-_CORNERS, _LEANING, _LEAN = 200, 200, 0.75
-"""Number of corners that are drawn with equal probability; number of corners that are drawn by the
-slopes of one criterion; and the probability with which a number of such a corner follows its slope.
-A search of fewer than ``SEARCHED`` machines draws fewer corners in proportion."""
+_CORNERS, _LEAN = 400, 0.75
+"""Number of drawn corners, half of them with equal probability and half by the slopes of one
+criterion; and the probability with which a number of such a corner follows its slope. A search of
+fewer than ``SEARCHED`` machines draws fewer corners in proportion."""
 _CORNER_SEED = 1941
 _NEAR, _ROWS = 0.7, 3
 """Climbs maximise criteria whose used share is at least this part of the worst used share; largest
@@ -90,6 +90,8 @@ class WorstSearch:
         Judges the machines.
     most
         Largest number of machines that are tried after both ends of each number.
+    corners
+        Number of corners that are drawn, if machines are simulated in batches.
     hasty
         Whether the search ends as soon as a machine is out of specification.
     seed
@@ -110,11 +112,13 @@ class WorstSearch:
         within: WithinTolerances,
         most: int | None = None,
         *,
+        corners: int = _CORNERS,
         hasty: bool = False,
         done: Done | None = None,
         seed: int = _CORNER_SEED,
     ) -> None:
         self._random = np.random.default_rng(seed)
+        self._corners = corners
         self._within, self._hasty, self.done = within, hasty, done
         self.most = most_searched(within) if most is None else most
         self._share = 1.0 if most is not None else self.most / SEARCHED
@@ -299,7 +303,8 @@ class WorstSearch:
         assert self._slopes is not None
         ends = self._within.ends
         random = self._random
-        count, leaning_count = self._scaled(_CORNERS), self._scaled(_LEANING)
+        leaning_count = self._scaled(self._corners // 2)
+        count = self._scaled(self._corners - self._corners // 2)
         even_corners = np.where(random.random((count, len(ends))) < 0.5, -1.0, 1.0)
         follows_slope = random.random((leaning_count, len(ends))) < _LEAN
         slopes_of_rows = self._slopes[np.resize(rows, leaning_count)]

@@ -144,7 +144,7 @@ def job_words(found: FastestJob) -> dict[str, Word] | None:
     if best.found.best is None:
         return None
     if best.options is not None:
-        return _chosen_words(best.options)
+        return optimal_words(best.options)
     words: dict[str, Word] = {"feed": feed_words(Feed(found.by, best.found.best))}
     if best.share != 1.0:
         words["limits"] = share_words(best.share)
@@ -154,7 +154,7 @@ def job_words(found: FastestJob) -> dict[str, Word] | None:
     return words
 
 
-def _chosen_words(options: Options) -> dict[str, Word]:
+def optimal_words(options: Options) -> dict[str, Word]:
     """Return the words with which ``options_of`` reads the options of a plan of ``optimal``."""
     assert options.feed is not None
     words: dict[str, Word] = {"feed": feed_words(options.feed)}

@@ -48,8 +48,6 @@ from threadline.verdict import Verdict
 
 _CONFIRMED = 200  # number of runs that a plan must pass to become the best plan so far
 _MOST_NARROWED = 6
-_STEPS = 6  # number of plans between the careful and the bold end
-_LEAST_PLANS, _MOST_PLANS = 12, 240
 _ALL_TICKS = 150_000  # largest sum of the ticks of all further plans of a search
 PROCESSOR_S = 600.0
 """Processor time in s after which a search without ``--within`` ends, if it has an answer."""
@@ -72,10 +70,10 @@ class Choosing:
         The choices.
     options
         Options of the plans without the choices.
-    rungs
-        Every judged plan, and every plan beyond a limit of the machine, in order.
     most, tried
         Largest number of places that the search tries, and number that it has tried.
+    rungs
+        Every judged plan, and every plan beyond a limit of the machine, in order.
     begun_s, started_s
         Processor time and clock at the beginning.
     narrower
@@ -85,9 +83,9 @@ class Choosing:
     question: Question
     knobs: tuple[Knob, ...]
     options: Options
+    most: int
     rungs: list[Rung] = field(default_factory=list)
     narrower: dict[int, float] = field(default_factory=dict)
-    most: int = _STEPS + _MOST_PLANS
     tried: int = 0
     begun_s: float = field(default_factory=time.process_time)
     started_s: float = field(default_factory=time.monotonic)
@@ -204,7 +202,8 @@ def fastest_chosen(question: Question) -> FastestJob:
     with until_deadline(until, lambda: any(one.rungs for one in searches)):
         for one, limits_too in _with_limits(options, question):
             knobs = knobs_of(machine, question.spec, one, question.free, limits_too=limits_too)
-            search = Choosing(question, knobs, one)
+            effort = question.effort
+            search = Choosing(question, knobs, one, effort.steps + effort.most_plans)
             searches.append(search)
             careful = places_of(one, knobs, machine)
             if limits_too:
@@ -213,11 +212,11 @@ def fastest_chosen(question: Question) -> FastestJob:
                     for knob, place in zip(knobs, careful, strict=True)
                 )
             bold = tuple(BOLD[knob.word] for knob in knobs)
-            tried = boldest(search.attempt, careful, bold, _STEPS)
+            tried = boldest(search.attempt, careful, bold, effort.steps)
             if best_of(tried) is None:
                 continue
             ticks = max(search.best_s / tick_s, 1.0)
-            more_plans = int(min(max(_ALL_TICKS / ticks, _LEAST_PLANS), _MOST_PLANS))
+            more_plans = int(min(max(_ALL_TICKS / ticks, effort.least_plans), effort.most_plans))
             search.most = search.tried + more_plans
             improved(search.attempt, tried, more_plans, tick_s, careful)
             break

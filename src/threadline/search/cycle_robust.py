@@ -89,8 +89,6 @@ def over_band(
     )
 
 
-_SHARES = (1.0, 0.9, 0.8, 0.65, 0.5)
-"""Shares of the limit that one command may use; the rest is for the ringing of earlier moves."""
 _FREQUENCIES = 33  # number of frequencies of the band in the closed form
 _LONGEST_PERIODS = 1.5
 _SEEDS = 3  # number of commands with the same duration for each share
@@ -242,6 +240,7 @@ class _Search:
     def __init__(self, job: Job, question: Question, band: float, plain: Plan) -> None:
         machine, progress = question.machine, question.progress
         self._job, self._machine, self._spec = job, machine, question.spec
+        self._shares = question.effort.command_shares
         self._base = plain.scheduled.one_cycle
         self._scan_s = float(self._base.commands.clock.period_s)
         self._steps = tuple(e.name for e in self._base.commands.events if e.kind == "tool")
@@ -319,7 +318,7 @@ class _Search:
         extra_scans = max(math.ceil(_LONGER_PERIODS * 2.0 * np.pi / np.angle(turn)), 3)
         commands: list[FlowCommand] = []
         bound = least = None
-        for share in _SHARES:
+        for share in self._shares:
             flow_move = self._flow_move(index, share)
             # A smaller share takes at least as long, so the search starts at the previous share's
             # scans.

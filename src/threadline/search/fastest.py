@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from bisect import bisect_right
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
 
@@ -21,6 +21,7 @@ from threadline.base.progress import TrialShares
 from threadline.errors import OptionError
 from threadline.search.deadline import Deadline, HaltError
 from threadline.search.feed_ranges import (
+    BESIDE,
     INSIDE,
     Forbidden,
     Interval,
@@ -69,6 +70,9 @@ class Grid:
         Whether every feed between two passing feeds passes, too. This holds if only limits are
         judged that the planner keeps at every feed. If both ends of the range pass, no other feed
         is tried; without ``every``, the ends are the highest feed and one a few steps below it.
+    inside, beside
+        Number of feeds tried inside an interval that is examined closely, and the neighbours of a
+        feed with a thin margin that are tried, in steps of 0.02 % of the feed.
     """
 
     points: int = 48
@@ -76,6 +80,25 @@ class Grid:
     edge: float = EDGE_RELATIVE
     every: bool = True
     between: bool = False
+    inside: int = INSIDE
+    beside: Sequence[int] = BESIDE
+
+    def at_most(self, other: Grid | None) -> Grid:
+        """Return the grid with at most the feeds that ``other`` tries; None stands for any number.
+
+        >>> few = Grid(points=8, near=1, inside=2, beside=(-3, 3))
+        >>> Grid(points=20, near=16).at_most(few) == few
+        True
+        """
+        if other is None:
+            return self
+        return replace(
+            self,
+            points=min(self.points, other.points),
+            near=min(self.near, other.near),
+            inside=min(self.inside, other.inside),
+            beside=min(self.beside, other.beside, key=len),
+        )
 
 
 PLAIN: Grid = Grid()
@@ -203,7 +226,7 @@ def find_fastest(
     check_range(low, high, "m/s")
     seen = {} if seen is None else seen
     trials_per_edge = float(np.log2(np.log(high / low) / points / edge_relative + 1.0))
-    trials_inside = INSIDE if near else 0
+    trials_inside = grid.inside if near else 0
     trials = TrialShares(None, "", 0.0) if trials is None else trials
     expected_trials = (
         points + 6.0 * near + 2.0 * trials_per_edge + trials_inside - len(seen)
@@ -328,9 +351,7 @@ def _searched(
     intervals = _bounded(verdict_at, feeds, passes, edge_relative)
     if near:
         intervals = [
-            part
-            for interval in intervals
-            for part in held_parts(verdict_at, seen, interval, edge_relative)
+            part for interval in intervals for part in _examined(verdict_at, seen, interval, grid)
         ]
     return intervals
 
@@ -364,7 +385,7 @@ def _searched_from_above(
         expects(1)
         examined: list[Interval] = []
         while intervals and all(part.alone for part in examined):
-            examined = held_parts(verdict_at, seen, intervals.pop(), edge_relative) + examined
+            examined = _examined(verdict_at, seen, intervals.pop(), grid) + examined
         if all(part.alone for part in examined):
             return _searched(verdict_at, seen, feed_range, grid, expects)
         highest_passing = max(part.high for part in examined if not part.alone)
@@ -372,6 +393,12 @@ def _searched_from_above(
         if gap in refined_gaps or gap == len(scan) - 1:
             return intervals + examined
         refined_gaps |= {gap - 1, gap, gap + 1}
+
+
+def _examined(
+    verdict_at: Judged, seen: Mapping[float, Verdict], interval: Interval, grid: Grid
+) -> list[Interval]:
+    return held_parts(verdict_at, seen, interval, grid.edge, inside=grid.inside, beside=grid.beside)
 
 
 def _down_to_passing(verdict_at: Judged, feeds: list[float]) -> list[float]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 from threadline.verdict import Status, Verdict
@@ -14,7 +14,7 @@ INSIDE = 16
 """Number of feeds tried inside an interval before it is accepted."""
 _THIN = 0.96
 """If a feed uses a larger share of its tightest limit, a close neighbour may exceed that limit."""
-_BESIDE = (-47, -29, -16, -7, -3, -1, 1, 3, 7, 16, 29, 47)
+BESIDE = (-47, -29, -16, -7, -3, -1, 1, 3, 7, 16, 29, 47)
 """Neighbours that are tried beside a feed with a thin margin, in multiples of ``_JUMP``."""
 _JUMP = 2e-4
 """Relative distance of two feeds at which times round to different ticks."""
@@ -67,7 +67,13 @@ def refined(verdict_at: Judged, passing: float, failing: float, edge_relative: f
 
 
 def held_parts(
-    verdict_at: Judged, seen: Mapping[float, Verdict], interval: Interval, edge_relative: float
+    verdict_at: Judged,
+    seen: Mapping[float, Verdict],
+    interval: Interval,
+    edge_relative: float,
+    *,
+    inside: int = INSIDE,
+    beside: Sequence[int] = BESIDE,
 ) -> list[Interval]:
     """Return the parts of an interval in which every tried feed passes.
 
@@ -77,6 +83,13 @@ def held_parts(
     is reduced to its highest feed, alone, unless it lies at an end of the search. Where a margin is
     thin, the used share of a limit jumps by a hundredth or two between feeds 0.02 % apart. So the
     neighbours of the tightest feeds of the remaining parts are tried, too.
+
+    Parameters
+    ----------
+    inside
+        Number of feeds tried inside an interval.
+    beside
+        Neighbours of a tight feed that are tried, in steps of 0.02 % of the feed.
     """
     parts, held = [interval], []
     while parts:
@@ -87,12 +100,12 @@ def held_parts(
             held.append(part if at_an_end else Interval(low=part.high, high=part.high, alone=True))
             continue
         inner_feeds = [
-            typeable(part.low + (_GOLDEN * k % 1.0) * width, width / INSIDE)
-            for k in range(1, INSIDE + 1)
+            typeable(part.low + (_GOLDEN * k % 1.0) * width, width / inside)
+            for k in range(1, inside + 1)
         ]
         failing = next((f for f in inner_feeds if not verdict_at(f).passed), None)
         if failing is None:
-            failing = _beside_tightest(verdict_at, seen, part)
+            failing = _beside_tightest(verdict_at, seen, part, beside)
         if failing is None:
             held.append(part)
             continue
@@ -109,7 +122,7 @@ def held_parts(
 
 
 def _beside_tightest(
-    verdict_at: Judged, seen: Mapping[float, Verdict], part: Interval
+    verdict_at: Judged, seen: Mapping[float, Verdict], part: Interval, beside: Sequence[int]
 ) -> float | None:
     """Return a failing neighbour of a feed with a thin margin; None without one."""
     looked_at: set[float] = set()
@@ -121,7 +134,7 @@ def _beside_tightest(
         if share_used.get(tightest, 0.0) < _THIN:
             return None
         looked_at.add(tightest)
-        for steps in _BESIDE:
+        for steps in beside:
             feed = typeable(tightest * (1.0 + steps * _JUMP), tightest * _JUMP)
             looked_at.add(feed)
             if part.low < feed < part.high and not verdict_at(feed).passed:

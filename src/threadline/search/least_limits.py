@@ -158,12 +158,11 @@ class Shares:
         return True
 
 
-_LADDER = (1.0, 0.5, 0.25, 0.125, 0.0625, 0.03125)
-_STEP = 2.0**0.25  # factor between tried shares around the best share of the ladder
+_STEP = 2.0**0.25  # factor between tried shares around the best of ``Effort.shares``
 _SCAN = Grid(points=20)
 _CLOSELY = Grid(points=20, near=FINE.near)
-_STEPS = len(_LADDER) + 5
-"""Expected number of searches: the ladder, two shares on either side of its best, and the best
+_AROUND = 5
+"""Expected number of searches after the first shares: two on either side of the best, and the best
 again."""
 
 
@@ -225,7 +224,7 @@ def fastest_job(question: Question) -> FastestJob:
             None if found.best is None else planned_s(share, found.best)
         ),
         at_top_s=lambda share: planned_s(share, high),
-        expected=1 if by_feed or limits_alone else _STEPS,
+        expected=1 if by_feed or limits_alone else len(question.effort.shares) + _AROUND,
         progress=part_of(question.progress, 0.0, _OF_SEARCH if limits_alone else 1.0),
         until=until,
     )
@@ -234,7 +233,7 @@ def fastest_job(question: Question) -> FastestJob:
         if by_feed:
             tried(1.0, FINE)
         else:
-            _climb(tried, rungs, _LADDER[:1] if limits_alone else _LADDER)
+            _climb(tried, rungs, question.effort.shares, first_alone=limits_alone)
     except HaltError as halt:
         if not rungs:
             raise no_answer() from halt
@@ -349,19 +348,25 @@ def _only_limits(question: Question) -> bool:
 
 
 def _climb(
-    tried: Callable[..., Rung | None], rungs: Mapping[float, Rung], ladder: Sequence[float]
+    tried: Callable[..., Rung | None],
+    rungs: Mapping[float, Rung],
+    ladder: Sequence[float],
+    *,
+    first_alone: bool,
 ) -> None:
     """Try shares of the limits until both neighbours of the best share are slower.
 
-    A ``ladder`` of one share is replaced by the whole ladder if no feed is in spec at that share.
+    With ``first_alone`` the other shares are tried only if no feed is in spec at the first. A
+    single share has no neighbours.
     """
-    for share in ladder:
+    first_shares = ladder[:1] if first_alone else ladder
+    for share in first_shares:
         tried(share, _SCAN)
     best = min(rungs.values(), key=in_order)
-    if best.duration_s is None and len(ladder) == 1:
-        _climb(tried, rungs, _LADDER)
+    if best.duration_s is None and first_alone:
+        _climb(tried, rungs, ladder, first_alone=False)
         return
-    if best.duration_s is not None and len(ladder) > 1:
+    if best.duration_s is not None and len(first_shares) > 1:
         for factor in (_STEP, 1.0 / _STEP):
             share = round(best.share * factor, 6)
             while LEAST_SHARE <= share <= 1.0:

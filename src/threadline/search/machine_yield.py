@@ -140,6 +140,7 @@ class MachineYield(WithinTolerances):
         state: YieldState | None = None,
         *,
         first: int = 0,
+        at_once: int | None = None,
     ) -> Yield:
         """Return the results of consecutive machines in the sequence of a seed.
 
@@ -152,6 +153,9 @@ class MachineYield(WithinTolerances):
             added to it.
         first
             Number of the first machine in the sequence.
+        at_once
+            Number of machines that are judged and stored as one part; results do not depend on it.
+            None: a number that suits the machine and the workers.
 
         Raises
         ------
@@ -170,7 +174,7 @@ class MachineYield(WithinTolerances):
             batches_judged.append(state.known.taken(np.arange(known_count)))
             if done is not None:
                 done(known_count)
-        at_once = self._at_once(variants)
+        at_once = self._at_once(variants) if at_once is None else at_once
         batches = (
             drawn(self.plan.machine, seed, first + np.arange(at, min(at + at_once, variants)))
             for at in range(known_count, variants, at_once)

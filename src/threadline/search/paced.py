@@ -7,7 +7,9 @@ describes it, and ``fastest_paced`` searches.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -28,6 +30,49 @@ from threadline.search.learn import learned_verdict
 from threadline.search.searched_edges import with_searched_edges
 from threadline.verdict import Result, Spec, Status, Verdict
 from threadline.verdict.types import REPEATED_RUNS
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Effort:
+    """The effort of a search for the fastest. Less effort takes less time, and may miss the answer.
+
+    Parameters
+    ----------
+    shares
+        Shares of the limits that are tried first, the largest first. Shares around the best of
+        several follow.
+    finest
+        No grid of a search by pace has more feeds than this one; None: no grid is limited.
+    command_shares
+        With a band of modes: shares of the limit of the ringing that a single command may use; the
+        rest is for the ringing of earlier moves.
+    steps
+        Number of plans of ``optimal`` between the careful and the bold end of its choices.
+    least_plans, most_plans
+        Least and largest number of further plans of ``optimal``.
+    """
+
+    shares: tuple[float, ...] = (1.0, 0.5, 0.25, 0.125, 0.0625, 0.03125)
+    finest: Grid | None = None
+    command_shares: tuple[float, ...] = (1.0, 0.9, 0.8, 0.65, 0.5)
+    steps: int = 6
+    least_plans: int = 12
+    most_plans: int = 240
+
+
+FULL = Effort()
+"""Effort of a search whose answer is printed."""
+_EFFORT: ContextVar[Effort] = ContextVar("effort", default=FULL)
+
+
+@contextmanager
+def searching_with(effort: Effort) -> Iterator[None]:
+    """Give this effort to every question that is asked inside the block and names none."""
+    token = _EFFORT.set(effort)
+    try:
+        yield
+    finally:
+        _EFFORT.reset(token)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -65,6 +110,8 @@ class Question:
     suspects
         Machines within the tolerances that were out of specification at another pace: they are
         tried first. The search adds to them.
+    effort
+        Number of feeds, shares of the limits and plans that the search tries.
     """
 
     job: Job
@@ -85,6 +132,7 @@ class Question:
     free: frozenset[str] = frozenset()
     learned: int | None = None
     suspects: Suspects = field(default_factory=list)
+    effort: Effort = field(default_factory=_EFFORT.get)
 
     @property
     def file(self) -> Path:
@@ -198,7 +246,7 @@ def fastest_paced(
     Parameters
     ----------
     grid
-        Resolution of the search.
+        Resolution of the search, at most the finest of ``Question.effort``.
     seen
         As in ``find_fastest``.
 
@@ -242,6 +290,7 @@ def fastest_paced(
     high = paced.high if question.high is None else question.high
     check_range(low, high, paced.unit)
     seen = {} if seen is None else seen
+    grid = grid.at_most(question.effort.finest)
     found_range = find_fastest(
         judged, low, high, grid, trials=trials, until=question.until, seen=seen
     )

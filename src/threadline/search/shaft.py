@@ -26,7 +26,8 @@ _RANGE = (0.5, 1.5)
 """Least and largest tolerance of a schedule search, as shares of the limit of the residual."""
 _HALVINGS = 6
 _OF_THE_SLOWEST = 0.5
-_FAR = 0.8  # largest used share of a limit that counts as far within the limit
+FAR = 0.8
+"""Largest used share of a limit that counts as far within the limit."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -94,7 +95,7 @@ def fastest_shaft(question: Question) -> FastestShaft:
     schedule = None
     assert machine.shaft is not None
     if machine.shaft.acceleration is not None and constant.complete:
-        schedule = _schedule(question)
+        schedule = fastest_schedule(question)
     durations_s = [constant_s, None if schedule is None else schedule.plan.duration_s]
     best_s = min((t for t in durations_s if t is not None), default=None)
     by_schedule = schedule is not None and best_s == schedule.plan.duration_s
@@ -110,8 +111,17 @@ def fastest_shaft(question: Question) -> FastestShaft:
     )
 
 
-def constant_speeds(question: Question, grid: Grid = GRID) -> Fastest:
-    """Search the constant speeds of the shaft, in stitches a second, as ``fastest_shaft`` does."""
+def constant_speeds(question: Question, grid: Grid = GRID, *, far: float = FAR) -> Fastest:
+    """Search the constant speeds of the shaft, in stitches a second, as ``fastest_shaft`` does.
+
+    Parameters
+    ----------
+    grid
+        Resolution of the search.
+    far
+        One run decides at a speed inside an interval at which the run and the forecast use at most
+        this share of every limit.
+    """
     trials = question.trials
     low, high = speed_range_hz(question.machine)
     if question.low is None:
@@ -126,7 +136,7 @@ def constant_speeds(question: Question, grid: Grid = GRID) -> Fastest:
         # One run and the forecast are valid only for the file's machine, not for others.
         if trials.repeats > 1 and not trials.machines and question.actual is None:
             first_run = replace(question, trials=NOMINAL).judged(plan)
-            if not first_run.passed or _far_within(plan, first_run, question.spec):
+            if not first_run.passed or _far_within(plan, first_run, question.spec, far):
                 return first_run
         return judged_by_all_runs(speed_hz, plan)
 
@@ -160,11 +170,12 @@ def _searched_edges(question: Question, found: Fastest) -> Fastest:
     )
 
 
-def _far_within(plan: Plan, first: Verdict, spec: Spec) -> bool:
-    """Return whether one run and the forecast over all dampings leave a fifth of every limit free.
+def _far_within(plan: Plan, first: Verdict, spec: Spec, far: float) -> bool:
+    """Return whether one run and the forecast over all dampings use at most ``far`` of every limit.
 
-    If they do, all twenty runs are in spec, too, because the runs differ only in damping and the
-    forecast is accurate to 6 %. The ends of the found intervals are judged by all runs in any case.
+    If they leave a fifth free, all twenty runs are in spec, too, because the runs differ only in
+    damping and the forecast is accurate to 6 %. The ends of the found intervals are judged by all
+    runs in any case.
     """
     limits = [c.limit for c in spec.criteria if c.name == "stitch_residual" and c.limit]
     if not limits:
@@ -176,7 +187,7 @@ def _far_within(plan: Plan, first: Verdict, spec: Spec) -> bool:
     ]
     turns = plan.stitched.turns
     forecast = plan.stitched.pace.most_swings_m(turns.moves, turns.turn_s).max()
-    return max(shares_used) <= _FAR and bool(forecast <= _FAR * min(limits))
+    return max(shares_used) <= far and bool(forecast <= far * min(limits))
 
 
 def _lowest_of_interest_hz(question: Question) -> float:
@@ -201,7 +212,7 @@ def at_speed(question: Question, speed_hz: float) -> Plan:
     return plan_job(question.job, question.machine, options)
 
 
-def _schedule(question: Question) -> Proof | None:
+def fastest_schedule(question: Question) -> Proof | None:
     """Return the proof of the fastest schedule in spec; None if no schedule is in spec.
 
     The search varies the tolerance of the swing with which a schedule is planned. If its time is

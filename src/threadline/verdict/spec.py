@@ -24,8 +24,9 @@ from threadline.verdict.types import Criterion, Spec
 
 _MOST_BASES = 20
 _MAX_BYTES = 1_000_000
-_TOP = ("name", "lag", "criteria")
-_COMMON = ("name", "axis", "limit", "required")
+TOP_KEYS = ("name", "lag", "criteria")
+COMMON_KEYS = ("name", "axis", "limit", "required")
+"""Keys of a specification, and of each of its criteria."""
 _OWN = "machine"  # stands for the machine's own limit
 _LOOSER = "the machine's own limit, which the specification cannot widen"
 _ROUNDING = 1e-12  # relative: a limit this close to the machine's limit equals it
@@ -136,7 +137,7 @@ class _Reader:
             raise SpecError(
                 what, place=Place(self._file, line), remedy="Correct that line."
             ) from error
-        self._refuse_unknown_keys(content, _TOP, None)
+        self._refuse_unknown_keys(content, TOP_KEYS, None)
         name = content.get("name")
         if not isinstance(name, str) or not name:
             self._refuse('name must be a text, like name = "winding at 0.5 mm"', None, "name")
@@ -204,7 +205,7 @@ class _Reader:
         if kind is None:
             remedy = nearest(name, MEASURES)
             self._refuse(f"there is no measure {name[:80]!r}", index, "name", remedy)
-        self._refuse_unknown_keys(row, (*_COMMON, *kind.options, *self._always.keys), index)
+        self._refuse_unknown_keys(row, (*COMMON_KEYS, *kind.options, *self._always.keys), index)
         step = row.get("step", "")
         if not isinstance(step, str):
             self._refuse(f"step must be a name, got {step!r}", index, "step")

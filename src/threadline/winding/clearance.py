@@ -116,6 +116,13 @@ class Clearance:
         Cross-section of the band, m2, by which the mandrel grows; 0: it does not grow.
     width_m
         Width of the band.
+
+    Attributes
+    ----------
+    bare_m
+        (k, 2) outline of the bare mandrel: places along its axis, and radii, m.
+    normal
+        (k, 2) outward unit normals of the outline.
     """
 
     def __init__(
@@ -141,9 +148,8 @@ class Clearance:
             self._u = np.union1d(self._u, middle)
         self._piece = np.searchsorted(middle, self._u, side="right") - 1
         x, r = surface.at(self._u)
-        self._x, self._r = x[:, 0], r[:, 0]
-        self._bare = np.column_stack([self._x, self._r])
-        self._normal = np.column_stack([-r[:, 1], x[:, 1]]) / np.hypot(x[:, 1], r[:, 1])[:, None]
+        self.bare_m = np.column_stack([x[:, 0], r[:, 0]])
+        self.normal = np.column_stack([-r[:, 1], x[:, 1]]) / np.hypot(x[:, 1], r[:, 1])[:, None]
         self._area = 2.0 * math.pi * surface.at(middle)[1][:, 0] * np.diff(self._edges)
         self._wound, self._fresh = np.zeros(_CELLS), np.zeros(_CELLS)
         self._layers: FloatArray | None = None
@@ -189,7 +195,7 @@ class Clearance:
             spread = np.convolve(self._wound, np.full(self._wide, 1.0 / self._wide), mode="same")
             self._layers = spread / self._area
             _grown(
-                self._bare, self._normal, self._u, self._piece, self._middle, self._layers,
+                self.bare_m, self.normal, self._u, self._piece, self._middle, self._layers,
                 self._line, self._boxes,
             )  # fmt: skip
         return self._layers

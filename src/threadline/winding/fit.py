@@ -64,7 +64,7 @@ class Witness:
             self.eyes.append(eyes[of_turning][:_MAX_EYES])
         # Only while it turns: the eye may come from anywhere.
         eyes = eyes[of_turning]
-        along, across, up = self._places(eyes)
+        along, across, up = self.payout_points(eyes)
         for ends, column in ((self._turn, eyes[:, 0]), (self._along, along)):
             ends[0] = min(ends[0], float(column.min(initial=np.inf)))
             ends[1] = max(ends[1], float(column.max(initial=-np.inf)))
@@ -87,8 +87,11 @@ class Witness:
         self._in_a_row = float(free_lengths[-1] - run_begin[-1])
         self._free_m = min(self._free_m, float(np.nanmin(fibre.free_m, initial=np.inf)))
 
-    def _places(self, eyes: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return the pay-out point along, across and up, m, as ``eye.centre`` computes it."""
+    def payout_points(self, eyes: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return the (n,) places of the pay-out point along, across and up, m, for (n, 6) eyes.
+
+        They are those that ``eye.centre`` computes in the replay.
+        """
         sin, cos = np.sin(eyes[:, 4:6]), np.cos(eyes[:, 4:6])
         x, y, z = self._payout_m
         forward, up = x * cos[:, 1] + z * sin[:, 1], z * cos[:, 1] - x * sin[:, 1]

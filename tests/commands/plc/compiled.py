@@ -4,7 +4,7 @@ Make it by hand: ``threadline compile examples/letter-cycle.toml -m letter-place
 --shaper zv --mode "3.04 Hz" --damping 0.17 -o cycle.st``, ``cat cycle.st cycle.configuration.st``
 into one text, ``iec2c -I matiec/lib -T FOLDER`` on it, then write ``GLUE`` below it as
 ``FOLDER/glue.c`` and ``gcc -shared -fPIC -w -I matiec/lib/C -o FOLDER/cell.so FOLDER/glue.c``.
-``python -m tests.plc.compiled FOLDER MATIEC`` does the last two steps.
+``python -m tests.commands.plc.compiled FOLDER MATIEC`` does the last two steps.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Print the cost of scans and their jitter: ``python -m tests.plc.scan_table``."""
+"""Print the cost of scans and their jitter: ``python -m tests.commands.plc.scan_table``."""
 
 from __future__ import annotations
 

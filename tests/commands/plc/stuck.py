@@ -1,6 +1,6 @@
 """Every contact stuck, at every place of the cycle: the program's faults, and forbidden outputs.
 
-``python -m tests.plc.stuck`` prints the table of the documents.
+``python -m tests.commands.plc.stuck`` prints the table of the documents.
 """
 
 from __future__ import annotations

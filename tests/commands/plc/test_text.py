@@ -11,11 +11,12 @@ import pytest
 from tests.commands.plc.parts import read_in_parts
 from tests.commands.plc.reading import IDENTIFIER, Unit, code_of, read
 from tests.commands.plc.texts import emitted, text_of, units_of
-from threadline.commands import structured_text as structured_text_module
 from threadline.commands.schedule import compile_schedule
 from threadline.commands.schedule_options import shaping_of
 from threadline.commands.structured_text import (
     OPENPLC,
+    plc_program,
+    sized,
     structured_text,
     write_openplc,
     write_structured_text,
@@ -215,7 +216,7 @@ def test_a_job_called_as_the_configuration_gets_another_name(tmp_path: Path) -> 
 
 @pytest.mark.parametrize("pairs", [1, 100])
 def test_the_time_of_a_scan_is_told_and_a_long_list_takes_little_more(
-    tmp_path: Path, pairs: int, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, pairs: int
 ) -> None:
     """A long list is tables: the controller has one loop, which runs three times in a scan."""
     down, up = (
@@ -226,13 +227,11 @@ def test_the_time_of_a_scan_is_told_and_a_long_list_takes_little_more(
     file.write_text('[[operation]]\nvalve = "main_air"\n' + pairs * (down + up), "utf-8")
     machine = load_machine("letter-placer")
     made = compile_schedule(read_job(file, machine), machine)
-    monkeypatch.setattr(structured_text_module, "_LARGE_KB", 100.0 if pairs == 1 else 10.0)
     for write in (write_structured_text, write_openplc):
         told = write(made, tmp_path / "a.st")[0]
         (fact,) = told.facts
         assert f"{(tmp_path / 'a.st').stat().st_size / 1e3:.0f} kB of text" in fact
-        assert any("kB of text" in one for one in told.warnings) == (pairs > 1)
-        assert not any("ms of 10 ms" in one for one in told.warnings)
+        assert not any("the program is large" in one for one in told.warnings)
         text = (tmp_path / "a.st").read_text("ascii")
         body = text.partition("(* The watchdog")[2].partition("END_FUNCTION_BLOCK")[0]
         branch = re.compile(r"^ *(?:IF|ELSIF|WHILE) ", re.MULTILINE)
@@ -245,6 +244,19 @@ def test_the_time_of_a_scan_is_told_and_a_long_list_takes_little_more(
         else:
             assert branches == every + 2 * (len(branch.findall(loop)) + 1)
             assert branches < 200
+
+
+def test_a_file_above_a_megabyte_is_called_large(tmp_path: Path) -> None:
+    """A list of some ten thousand moves would be as long; blanks stand for it."""
+    file, machine = tmp_path / "list.toml", load_machine("letter-placer")
+    file.write_text('[[operation]]\nvalve = "main_air"\n', "utf-8")
+    made = compile_schedule(read_job(file, machine), machine)
+    out = tmp_path / "a.st"
+    for size, large in ((1_000_000, False), (1_001_000, True)):
+        out.write_bytes(b" " * size)
+        told = sized(made, plc_program(made), out)
+        text = f"the program is large: {size / 1000:.0f} kB of text"
+        assert any(one.startswith(text) for one in told.warnings) == large
 
 
 def test_no_time_stands_without_a_name() -> None:

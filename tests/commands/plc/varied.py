@@ -1,6 +1,6 @@
 """Faultless cycles on varied machines: speeds, switches, and scans that jitter.
 
-``python -m tests.plc.varied [CYCLES]`` prints how many of them end in a fault. Speeds differ by up
+``python -m tests.commands.plc.varied [CYCLES]`` prints how many of them end in a fault. Speeds differ by up
 to 3 % and switches by up to 2 mm, as in the machine file; scans come up to 20 % late or early.
 """
 

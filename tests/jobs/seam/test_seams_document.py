@@ -8,11 +8,11 @@ from pathlib import Path
 import pytest
 
 from threadline.errors import JobError, Place
-from threadline.geometry.contours import _POINT, CONTOUR_KEYS
-from threadline.geometry.read_csv import _KNOWN as COLUMNS
+from threadline.geometry.contours import CONTOUR_KEYS, POINT_KEYS
+from threadline.geometry.read_csv import COLUMNS
 from threadline.jobs import read_job
-from threadline.jobs.seam.read_toml import _DRAWING, _SEAM, DEFAULT_GAP_M
-from threadline.jobs.seam.settings import _SETTINGS, Stitching, stitching
+from threadline.jobs.seam.read_toml import DEFAULT_GAP_M, DRAWING_KEYS, SEAM_KEYS
+from threadline.jobs.seam.settings import SETTINGS, Stitching, stitching
 from threadline.machine import load_machine
 
 TEXT = (Path(__file__).resolve().parents[3] / "docs" / "seams.md").read_text(encoding="utf-8")
@@ -32,10 +32,10 @@ def tables(heading: str) -> list[dict[str, list[str]]]:
 def test_every_key_is_told_and_no_other() -> None:
     contour, point = tables("`[[contour]]`")
     assert list(tables("`[drawing]`")[0]) == ["file", "unit", "origin", "gap", "by"]
-    assert set(_DRAWING) == {"file", "unit", "origin", "gap", "by"}
-    assert list(tables("`[[seam]]`")[0]) == list(_SEAM)
-    assert set(tables("`[stitching]`")[0]) == set(_SETTINGS)
-    assert set(contour) == set(CONTOUR_KEYS) and set(point) == set(_POINT)
+    assert set(DRAWING_KEYS) == {"file", "unit", "origin", "gap", "by"}
+    assert list(tables("`[[seam]]`")[0]) == list(SEAM_KEYS)
+    assert set(tables("`[stitching]`")[0]) == set(SETTINGS)
+    assert set(contour) == set(CONTOUR_KEYS) and set(point) == set(POINT_KEYS)
     for column in COLUMNS:
         assert f"`{column}`" in PARTS["Drawings"]
 
@@ -44,7 +44,7 @@ def test_defaults_and_choices_are_those_of_the_program() -> None:
     rows = tables("`[stitching]`")[0]
     plain = stitching(GIVEN, {}, Place("a.seam.toml"))
     for key, cells in rows.items():
-        setting = _SETTINGS[key]
+        setting = SETTINGS[key]
         for choice in setting.choices:
             assert f"`{choice}`" in cells[1]
         if setting.choices:

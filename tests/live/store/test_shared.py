@@ -156,15 +156,15 @@ def test_a_run_whose_index_is_locked_at_its_end_is_kept_and_entered_later(
     """This is no fault: trace and verdict exist, and the next look at the store enters them."""
     monkeypatch.chdir(tmp_path)
     locked: list[sqlite3.Connection] = []
-    write = OpenRun._write
+    judged = OpenRun.judged
 
-    def locks_first(self: OpenRun, content: dict[str, Any]) -> None:
+    def locks_first(self: OpenRun, content: dict[str, Any], ended: str, text: str) -> str:
         """Another program begins to write just before the run is entered."""
         locked.append(sqlite3.connect(tmp_path / "runs" / INDEX))
         locked[0].execute("BEGIN EXCLUSIVE")
-        write(self, content)
+        return judged(self, content, ended, text)
 
-    monkeypatch.setattr(OpenRun, "_write", locks_first)
+    monkeypatch.setattr(OpenRun, "judged", locks_first)
     with pytest.raises(SystemExit) as ended:
         main(["run", str(EXAMPLES / "x-180.prg"), "-m", "lathe-winder", "--nominal",
               "--speed", "0", "--store", "runs", "--json"])  # fmt: skip

@@ -5,17 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from threadline.motion.path.polygon import (
-    _EVEN,
-    _MOST_PARTS,
-    _count,
-    _cut_and_joined,
-    _nominal,
-    _parts,
-    turns,
-)
+from threadline.motion.path.polygon import even_parts, turns
 
 CASES = 200
+EVEN, MOST_PARTS = 0.02, 16
+"""Share by which the pace along a part may vary, and most parts of a piece."""
 
 
 def differences(rng: np.random.Generator) -> list[np.ndarray]:
@@ -28,11 +22,8 @@ def cut_evenly(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the piece of each part, the parts, and their times at the feed."""
     pace, own = 3.0 * np.concatenate(times, axis=1), np.arange(len(c))
-    parts = _parts(pace, straight)
-    whole_s = _nominal(pace, straight, np.full(len(c), 0.03))
-    count = _count(parts, straight, own)
-    cut, nominal_s, owner, line = _cut_and_joined(
-        c, pace, whole_s, straight, parts, (own, own + 7), count
+    cut, nominal_s, owner, line = even_parts(
+        c, pace, np.full(len(c), 0.03), straight, (own, own + 7)
     )
     np.testing.assert_array_equal(line, owner + 7)
     return owner, cut, nominal_s
@@ -75,8 +66,8 @@ def test_no_part_is_faster_than_its_feed_or_much_slower() -> None:
         given = nominal_s[owner == piece]
         assert (given >= own * (1.0 - 1e-12)).all()
         assert (given <= own + 2.0 * spread[piece] / count[piece] ** 2 + 1e-15).all()
-        wanted = np.ceil(3.0 * spread[piece] / (a + b + d)[piece] / _EVEN)
-        assert count[piece] == np.clip(wanted, 1, _MOST_PARTS)
+        wanted = np.ceil(3.0 * spread[piece] / (a + b + d)[piece] / EVEN)
+        assert count[piece] == np.clip(wanted, 1, MOST_PARTS)
 
 
 @pytest.mark.parametrize("straight", [False, True])

@@ -128,16 +128,19 @@ def test_no_slowness_helps_where_the_loads_never_come_near():
     follower = Follower(answers=(answers_of(WINDER)["X"],), radius_m=np.ones(1), tolerance_m=1e-4)
     past = Past(follower.memory_s)
     past.add(straight(0.0, 0.0, 1.0))
-    assert following_error._slower(straight(1.0, 1.0, 1.1), follower, past).end_s > 1.1 + 1.0
+    assert (
+        following_error.slowed_until_followed(straight(1.0, 1.0, 1.1), follower, past).end_s
+        > 1.1 + 1.0
+    )
     with pytest.raises(PlanError, match=r"stray .* mm from the path however slowly"):
-        following_error._slower(straight(1.0, 1.0, 1.001, back=True), follower, past)
+        following_error.slowed_until_followed(straight(1.0, 1.0, 1.001, back=True), follower, past)
 
 
 def test_a_place_that_strays_by_nothing_is_not_slowed():
     """A share of 0 has no negative power; 1.69 times too much is slowed by its power 1.3."""
     shares, known = np.array([0.0, 0.5, 1.0, 1.69]), np.array([np.inf, 3.0, np.inf, np.inf])
     with np.errstate(all="raise"):
-        most = following_error._slowed_where_loads_stray(known, np.full(4, 2.0), shares)
+        most = following_error.caps_where_loads_stray(known, np.full(4, 2.0), shares)
     assert most[:3].tolist() == [np.inf, 3.0, np.inf]
     assert most[3] == pytest.approx(2.0 / 1.3**2.6, rel=1e-12)
 

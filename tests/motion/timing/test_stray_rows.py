@@ -115,14 +115,14 @@ def test_a_motion_that_strays_a_little_is_slowed_for_it(monkeypatch):
 
     just = next(by for by in np.arange(1.0, 1.3, 1e-3) if share(quicker(by)) > 1.0)
     within = quicker(just - 2e-3)
-    assert polished._kept(within, share(within), follower, past) is within
+    assert polished.slowed_a_little(within, share(within), follower, past) is within
     over = quicker(just + 0.01)
-    assert 1.005 < share(over) < polished._LITTLE
-    found = polished._kept(over, share(over), follower, past)
+    assert 1.005 < share(over) < 1.1
+    found = polished.slowed_a_little(over, share(over), follower, past)
     assert share(found) <= 1.0
     assert found.end_s - begin == pytest.approx((block.end_s - begin) / just, rel=2e-3)
     far = quicker(1.3 * just)
-    assert polished._kept(far, share(far), follower, past) is None
+    assert polished.slowed_a_little(far, share(far), follower, past) is None
 
 
 @pytest.mark.parametrize("many", [0, 7, 40])
@@ -133,7 +133,7 @@ def test_the_step_is_that_of_the_whole_matrix(monkeypatch, many):
     g, weights, slack = rng.normal(size=12), rng.normal(size=(many, 12)), rng.uniform(0.1, 1, many)
     monkeypatch.setattr(polished.barrier, "derivatives", lambda *_: (band, g))
     problem = SimpleNamespace(b=None, elements=SimpleNamespace(length=None), rows=0, tangent=0)
-    step, decrement = polished._newton(problem, weights, slack, 1e-2)
+    step, decrement = polished.newton_step(problem, weights, slack, 1e-2)
     whole = np.diag(band[:, 0]) + weights.T @ np.diag(1e-2 / slack**2) @ weights
     for k in (1, 2):
         whole += np.diag(band[:-k, k], k) + np.diag(band[:-k, k], -k)
@@ -149,7 +149,7 @@ def test_rows_are_of_peaks_and_of_some_places_between_them():
     share = 0.8 + 0.15 * np.sin(np.arange(3000) / 7.0)
     share[1000:2000] = 0.5
     peaks = [k for k in range(1, 2999) if share[k - 1] < share[k] > share[k + 1] and share[k] > 0.6]
-    few, many = polished._chosen(share, 10), polished._chosen(share, 5000)
+    few, many = polished.places_with_rows(share, 10), polished.places_with_rows(share, 5000)
     assert few.tolist() == np.flatnonzero(share > 0.6).tolist()
     assert set(peaks) <= set(many.tolist()) < set(few.tolist())
     assert len(many) < 0.4 * len(few)

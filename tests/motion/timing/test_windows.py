@@ -76,11 +76,15 @@ def test_all_limits_hold_at_a_million_instants_of_windows(short):
 
 def test_window_without_a_continuation_ends_at_rest(short, monkeypatch):
     """No slow motion could continue any window: each ends at rest, and the next begins there."""
-    way = windows._slow_way
-    monkeypatch.setattr(
-        windows, "_slow_way", lambda *given: None if given[1] is not None else way(*given)
-    )
     whole = retime(CURVE, *LIMITS, 1e-3)
+    elements = windows.run_elements
+    monkeypatch.setattr(
+        windows,
+        "run_elements",
+        lambda run, radius_m, limits, previous=None, **how: (
+            None if previous is not None else elements(run, radius_m, limits, **how)
+        ),
+    )
     motion = short(CURVE, *LIMITS, 1e-3)
     rests = 0
     for before, after in seams(motion):

@@ -16,8 +16,9 @@ from threadline.jobs.seam.settings import STITCHING_KEYS
 from threadline.units import parse_quantity, unit_factor
 
 MAX_TOML_BYTES = 64 * 1024 * 1024
-_DRAWING = ("file", "unit", "gap", "origin", "by")
-_SEAM = ("name", "layer", "colour")
+DRAWING_KEYS = ("file", "unit", "gap", "origin", "by")
+SEAM_KEYS = ("name", "layer", "colour")
+"""Keys of the drawing, and of a seam besides ``STITCHING_KEYS``."""
 DEFAULT_GAP_M = 1e-5
 
 
@@ -107,7 +108,7 @@ class _Reader:
                     place=self.place(key),
                     remedy=nearest(key, ("drawing", "stitching", "seam", "contour")),
                 )
-        drawing = self._table(table.get("drawing", {}), _DRAWING, "drawing")
+        drawing = self._table(table.get("drawing", {}), DRAWING_KEYS, "drawing")
         contours = self._tables(table.get("contour", []), "contour")
         if "file" in drawing and contours:
             raise JobError(
@@ -201,10 +202,10 @@ class _Reader:
         return x, y
 
     def _choice(self, seam: Any, k: int) -> SeamChoice:
-        table = self._table(seam, (*_SEAM, *STITCHING_KEYS), "seam", k)
+        table = self._table(seam, (*SEAM_KEYS, *STITCHING_KEYS), "seam", k)
         layer = self._text(table, "layer", "seam", k)
         colour = self._text(table, "colour", "seam", k)
-        settings = {key: value for key, value in table.items() if key not in _SEAM}
+        settings = {key: value for key, value in table.items() if key not in SEAM_KEYS}
         return SeamChoice(
             name=self._text(table, "name", "seam", k) or layer or colour or f"seam {k + 1}",
             layer=layer,

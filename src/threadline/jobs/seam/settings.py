@@ -153,7 +153,7 @@ class _Setting:
     endless: str = ""  # word for an infinite value
 
 
-_SETTINGS = {
+SETTINGS = {
     "stitch_length": _Setting("stitch_length_m", "m", low=1e-5, high=0.1),
     "needle_speed": _Setting(
         "needle_speed_hz", "stitch/s", low=LEAST_NEEDLE_HZ, high=MOST_NEEDLE_HZ
@@ -185,7 +185,8 @@ _SETTINGS = {
     "settle": _Setting("settle_s", "s", high=MOST_SETTLE_S),
     "trim": _Setting("trim_s", "s", high=MOST_SETTLE_S),
 }
-STITCHING_KEYS = tuple(_SETTINGS)
+"""Settings of a seam, by key."""
+STITCHING_KEYS = tuple(SETTINGS)
 
 
 def stitching(settings: Mapping[str, Any], places: Mapping[str, Place], place: Place) -> Stitching:
@@ -208,14 +209,14 @@ def stitching(settings: Mapping[str, Any], places: Mapping[str, Place], place: P
     values: dict[str, Any] = {}
     for key, value in settings.items():
         key_place = places.get(key, place)
-        setting = _SETTINGS.get(key)
+        setting = SETTINGS.get(key)
         if setting is None:
             raise JobError(
                 f"unknown key {key!r}", place=key_place, remedy=nearest(key, STITCHING_KEYS)
             )
         values[setting.field] = _value(key, value, setting, key_place)
     for key in ("stitch_length", "needle_speed"):
-        if _SETTINGS[key].field not in values:
+        if SETTINGS[key].field not in values:
             raise JobError(f"{key} is not given", place=place, remedy=EXAMPLE)
     settings_read = Stitching(**values)
     _check_needle(settings_read, places, place)

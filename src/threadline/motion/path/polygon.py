@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from threadline.base.arrays import FloatArray, IntArray
 from threadline.base.compiled import njit
@@ -313,16 +314,15 @@ def pieces_of(
     else:
         coefficients, pace, straight = quartic_spans(*columns, first, stop)
     end_points = slice(first + 1, stop + 1)
-    operation, line = controls.operation[end_points], controls.line[end_points]
-    parts = _parts(pace, straight)
-    count = _count(parts, straight, operation)
-    nominal_s = _nominal(pace, straight, controls.nominal_s[end_points])
-    if count < len(parts) or parts.max() > 1:
-        coefficients, nominal_s, operation, line = _cut_and_joined(
-            coefficients, pace, nominal_s, straight, parts, (operation, line), count
-        )
-    rest = np.zeros(count, dtype=np.int64)
-    pause = np.zeros(count)
+    coefficients, nominal_s, operation, line = even_parts(
+        coefficients,
+        pace,
+        controls.nominal_s[end_points],
+        straight,
+        (controls.operation[end_points], controls.line[end_points]),
+    )
+    rest = np.zeros(len(nominal_s), dtype=np.int64)
+    pause = np.zeros(len(nominal_s))
     if ends:
         rest[-1], pause[-1] = 1, dwell_s
     for column in (coefficients, nominal_s, rest, pause):
@@ -407,6 +407,41 @@ def _spans(positions, turn, length_m, nominal_s, first, stop):
             d2 = (lead[k + 1] * nominal_s[k + 2] + d2) * share_at_end
         pace[i, 0], pace[i, 2] = 3.0 * d0, 3.0 * d2
     return coefficients, pace, line[first:stop]
+
+
+def even_parts(
+    coefficients: FloatArray,
+    pace: FloatArray,
+    passed_s: FloatArray,
+    straight: NDArray[np.bool_],
+    piece_columns: tuple[IntArray, IntArray],
+) -> tuple[FloatArray, FloatArray, IntArray, IntArray]:
+    """Return pieces cut into parts of even pace, with adjacent straight spans of one move joined.
+
+    Parameters
+    ----------
+    coefficients, pace, straight
+        The m pieces, as ``_spans`` returns them.
+    passed_s
+        (m,) times of straight pieces at the feed, s.
+    piece_columns
+        (m,) operations and lines of the pieces.
+
+    Returns
+    -------
+    coefficients, nominal_s, operation, line
+        (n, degree + 1, axes) and (n,) of the parts; the time of a part is at its slowest pace.
+    """
+    operation, line = piece_columns
+    parts = _parts(pace, straight)
+    count = _count(parts, straight, operation)
+    nominal_s = _nominal(pace, straight, passed_s)
+    if count == len(parts) and parts.max() == 1:
+        return coefficients, nominal_s, operation, line
+    cut: tuple[FloatArray, FloatArray, IntArray, IntArray] = _cut_and_joined(
+        coefficients, pace, nominal_s, straight, parts, piece_columns, count
+    )
+    return cut
 
 
 @njit()

@@ -188,7 +188,7 @@ def polished(
         solution = problem.solution()
         block_now = in_time(solution, limits, begin_s)
         strays = follower.strays(past, block_now)
-        block_kept = _kept(block_now, float(strays.share.max()), follower, past)
+        block_kept = slowed_a_little(block_now, float(strays.share.max()), follower, past)
         enough_s = _ENOUGH * (best.end_s - begin_s)
         # Gains may come in later rounds, so slowing may pay off later.
         idle = 0 if block_now.end_s < least_s - enough_s else idle + 1
@@ -196,19 +196,29 @@ def polished(
         if block_kept is not None and block_kept.end_s < best.end_s:
             idle = 0 if block_kept.end_s < best.end_s - enough_s else idle
             best = block_kept
-        points = _chosen(strays.share, len(elements))
+        points = places_with_rows(strays.share, len(elements))
         if idle == _IDLE or len(points) * len(elements) > _MOST_CONSTRAINT_ENTRIES:
             break
         _descend(problem, stray_rows(solution, block_now, strays, points))
     return best
 
 
-def _kept(
+def slowed_a_little(
     block: TrajectoryBlock, share: float, follower: Follower, past: Past
 ) -> TrajectoryBlock | None:
-    """Return the motion, slowed evenly if its loads exceed the tolerance slightly, by ``share``.
+    """Return the motion, slowed evenly if its loads exceed the tolerance by up to a tenth.
 
-    The rows are linearised, so most rounds end with an excess of about a hundredth.
+    The rows are linearised, so most rounds end with an excess of about a hundredth. None if the
+    loads stray more, or still stray after a few rounds.
+
+    Parameters
+    ----------
+    block
+        A motion from rest to rest.
+    share
+        Largest error of its loads, as a share of the tolerance.
+    follower, past
+        The loops of the loads, and the motion before ``block``.
     """
     for _ in range(_SLOWED_ROUNDS):
         if share <= 1.0 or share > _LITTLE:
@@ -218,8 +228,18 @@ def _kept(
     return block if share <= 1.0 else None
 
 
-def _chosen(share: FloatArray, elements: int) -> IntArray:
-    """Return the points whose errors get rows: as many as can be solved quickly."""
+def places_with_rows(share: FloatArray, elements: int) -> IntArray:
+    """Return the places whose errors get rows: as many as can be solved quickly.
+
+    They are the peaks near the tolerance, and all, a third or a fifth of the other large errors.
+
+    Parameters
+    ----------
+    share
+        (n,) errors, as shares of the tolerance.
+    elements
+        Number of elements of the motion: a step costs their number times that of places, squared.
+    """
     padded = np.concatenate([[-np.inf], share, [-np.inf]])
     peak = (share >= padded[:-2]) & (share > padded[2:])
     number = np.arange(len(share))
@@ -242,7 +262,7 @@ def _descend(problem: Problem, rows: Rows) -> None:
         weight = share * float(barrier.duration(problem.b, length)) / slacks
         for _ in range(_STEPS):
             slack = room - rows.weights @ (problem.b - b_before)
-            step, decrement = _newton(problem, rows.weights, slack, weight)
+            step, decrement = newton_step(problem, rows.weights, slack, weight)
             if not np.isfinite(step).all():
                 break  # rounding ends it here: b keeps within all limits
             if barrier.advance(problem.b, step, length, problem.rows, problem.tangent) <= 0.0:
@@ -270,10 +290,18 @@ def _slowed_near_rows(problem: Problem, rows: Rows) -> FloatArray:
     return np.maximum(room, _LEAST_ROOM - slowing * falls)
 
 
-def _newton(
+def newton_step(
     problem: Problem, weights: FloatArray, slack: FloatArray, weight: float
 ) -> tuple[FloatArray, float]:
-    """Return Newton's step for rows with (m,) ``slack``, and its decrement."""
+    """Return Newton's step, short enough to keep every slack above 0, and its decrement.
+
+    Parameters
+    ----------
+    weights, slack
+        (m, n) and (m,): the rows ask for ``weights @ step < slack``.
+    weight
+        Weight of the barriers, of the rows and of the limits of the problem.
+    """
     matrix, g = barrier.derivatives(
         problem.b, problem.elements.length, problem.rows, problem.tangent, weight
     )
@@ -351,12 +379,12 @@ def followed(
             excess_share = strays.worst(begin_s + middles)
             ease, straight = ease[coarse_element], straight[coarse_element]
             known_caps = np.full(len(x), np.inf) if largest_x is None else largest_x[coarse_element]
-            largest_x = _slowed_where_loads_stray(known_caps, x, excess_share)
+            largest_x = caps_where_loads_stray(known_caps, x, excess_share)
         problem.regard(follower.guarded(elements, ease, straight, largest_x))
-    return polished(problem, _slower(block, follower, past), limits, follower, past)
+    return polished(problem, slowed_until_followed(block, follower, past), limits, follower, past)
 
 
-def _slowed_where_loads_stray(
+def caps_where_loads_stray(
     known_caps: FloatArray, x: FloatArray, excess_share: FloatArray
 ) -> FloatArray:
     """Return (n,) ``known_caps``, lowered below ``x`` where ``excess_share`` is above 1."""
@@ -371,8 +399,16 @@ def _whose(coarse: Elements, fine: Elements) -> IntArray:
     return np.minimum(np.searchsorted(ends, middles), len(coarse) - 1)
 
 
-def _slower(block: TrajectoryBlock, follower: Follower, past: Past) -> TrajectoryBlock:
-    """Return the motion slowed evenly until its loads follow."""
+def slowed_until_followed(
+    block: TrajectoryBlock, follower: Follower, past: Past
+) -> TrajectoryBlock:
+    """Return the motion slowed evenly until its loads follow.
+
+    Raises
+    ------
+    PlanError
+        If they stray however slowly they are moved.
+    """
     for _ in range(_LONGEST):
         share = float(follower.strays(past, block).share.max())
         if share <= 1.0:
