@@ -1,9 +1,9 @@
 """Random breaks of homing and of the cycle: no output is ever left on.
 
-``python -m tests.commands.plc.breaks`` counts them on blark's reading of the text; ``--compiled FOLDER`` on
-the C that matiec made of it (see ``compiled``). Each case goes on from a scan of a run whose scans
-jitter: a broken beam, a missing enable or a late scan, of random length, with buttons pressed and
-work by hand requested meanwhile and after it.
+``python -m tests.commands.plc.breaks`` counts them on blark's reading of the text;
+``--compiled FOLDER`` on the C that matiec made of it (see ``compiled``). Each case goes on from a
+scan of a run whose scans jitter: a broken beam, a missing enable or a late scan, of random length,
+with buttons pressed and work by hand requested meanwhile and after it.
 """
 
 from __future__ import annotations

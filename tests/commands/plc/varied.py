@@ -1,7 +1,8 @@
 """Faultless cycles on varied machines: speeds, switches, and scans that jitter.
 
-``python -m tests.commands.plc.varied [CYCLES]`` prints how many of them end in a fault. Speeds differ by up
-to 3 % and switches by up to 2 mm, as in the machine file; scans come up to 20 % late or early.
+``python -m tests.commands.plc.varied [CYCLES]`` prints how many of them end in a fault. Speeds
+differ by up to 3 % and switches by up to 2 mm, as in the machine file; scans come up to 20 % late
+or early.
 """
 
 from __future__ import annotations
