@@ -131,7 +131,7 @@ def fastest(job: PathLike, machine: PathLike | Machine, **words: Word) -> Fastes
         As on the command line.
     """
     from threadline.search import FastestJob
-    from threadline.search.by_pace import answered
+    from threadline.search.by_pace import answered, best_move_list
     from threadline.search.mismatch import CYCLE
     from threadline.search.question import question_of
 
@@ -147,19 +147,26 @@ def fastest(job: PathLike, machine: PathLike | Machine, **words: Word) -> Fastes
         found.limited_by,
         found.of if found.over_band is None else found.over_band,
         found.again,
+        best_move_list(found),
         found.certainty,
         found.mismatch,
         found.ended,
         partial(_prove_again, job, machine, kept),
         "the velocity limits of the axes" if own_end else "the end of the search",
         "" if found.searched is CYCLE else found.searched.name,
+        Path(job),
     )
 
 
 def _prove_again(
-    job: PathLike, machine: PathLike | Machine, kept: Mapping[str, Word], **words: Word
+    job: PathLike,
+    machine: PathLike | Machine,
+    kept: Mapping[str, Word],
+    in_place: Path | None,
+    **words: Word,
 ) -> Proved:
-    return prove(job, machine, **{**kept, **words})
+    """Prove a job, or a file ``in_place`` of it, with the kept words of its search."""
+    return prove(job if in_place is None else in_place, machine, **{**kept, **words})
 
 
 @with_options
