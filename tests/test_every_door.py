@@ -6,9 +6,13 @@ import importlib
 import inspect
 import re
 import shutil
+import time
 from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import fields, replace
+from math import isinf
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -20,10 +24,11 @@ from tests.jobs_embroidery.test_designs import long_stitch
 from threadline import face
 from threadline.cli.main import app, main
 from threadline.commands.learned import with_offsets
+from threadline.commands.plan import Plan
 from threadline.errors import InputError, OptionError
 from threadline.files import tick_table
 from threadline.files.formats.tick_table import write_table_npz
-from threadline.machine import load_machine
+from threadline.machine import Machine, load_machine
 from threadline.machine.radii import with_radii
 from threadline.proof import pipeline
 from threadline.proof.option_form import Door, Group, Option, Type
@@ -33,13 +38,18 @@ from threadline.proof.option_table import (
     RECORDED,
     TABLE,
     list_argument,
+    option,
     options_for,
     python_name,
 )
 from threadline.proof.options import Options
 from threadline.proof.pipeline import open_job
+from threadline.proof.proof_hash import spec_sha256
 from threadline.proof.request import as_arguments
 from threadline.proof.verbs_without import reason, reasons
+from threadline.search.deadline import Deadline
+from threadline.search.paced import Question
+from threadline.verdict import Spec
 
 ROOT = Path(__file__).parents[1]
 EXAMPLES = ROOT / "examples"
@@ -75,7 +85,13 @@ SEARCHED = {"fastest": {"shaper", "robust"}, "design": {"feed-forward", "smoothi
 """Options that mean something else to a verb: a share of machines to judge, times to try."""
 
 
-class PlannedError(Exception):
+class StoppedError(Exception):
+    """Raised in place of the work of a verb."""
+
+    asked: tuple[Any, ...]
+
+
+class PlannedError(StoppedError):
     """Raised where a verb has planned its job, with its plan and what it planned from."""
 
     def __init__(self, job: Any, machine: Any, options: Options) -> None:
@@ -106,6 +122,13 @@ def seen(job: Any, machine: Any, options: Options, *_: Any, **__: Any) -> None:
     planned(job, with_radii(machine, options.radius), options)
 
 
+CRITERIA = {
+    "loops": ("contour_error", "9 mm"), "switches": ("cycle_time", "9 s"),
+    "steps": ("stitch_residual", "9 mm"),
+}  # fmt: skip
+"""By kind of work: a criterion that its specification can have."""
+
+
 @pytest.fixture(scope="module")
 def jobs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return a folder with small jobs of each kind, and the files that their options name."""
@@ -123,9 +146,10 @@ def jobs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (folder / "FW-CNC.PAR").write_text(
         "a\nb\nc\n20 ; manual\n11 ; normal\n30 ; limit\n20 ; record\n4 ; knots\n"
     )
-    (folder / "own.spec.toml").write_text(
-        'name = "own"\n[[criteria]]\nname = "duration"\nlimit = "9 s"\n'
-    )
+    for work, (name, limit) in CRITERIA.items():
+        (folder / f"{work}.spec.toml").write_text(
+            f'name = "own"\n[[criteria]]\nname = "{name}"\nlimit = "{limit}"\n'
+        )
     machine, options = load_machine("lathe-winder"), Options()
     base = tick_table(pipeline.plan_job(open_job(folder / "a.prg", machine, options), machine,
                                         options).commands)  # fmt: skip
@@ -160,10 +184,11 @@ def stopped(monkeypatch: pytest.MonkeyPatch, jobs: Path) -> Path:
 
 
 def outcome(ask: Callable[[], object]) -> tuple[Any, ...] | str:
-    """Return the plan request of a verb, or its refusal in the words of Python."""
+    """Return what a verb was about to do, or its refusal in the words of Python."""
+    _BEFORE.clear()
     try:
         ask()
-    except PlannedError as reached:
+    except StoppedError as reached:
         return reached.asked
     except InputError as error:
         return as_arguments(str(error))
@@ -197,7 +222,7 @@ def by_line(verb: str, folder: Path, work: str, words: dict[str, Any]) -> tuple[
 def by_python(verb: str, folder: Path, work: str, words: dict[str, Any]) -> tuple[Any, ...] | str:
     file, machine = WORK[work]
     job = folder / file
-    given = {name.replace("-", "_"): value for name, value in words.items()}
+    given = {option(name).word: value for name, value in words.items()}
     if verb == "compare":
         lists = {"interpolation": "interpolations", "feed": "feeds", "shaper": "shapers"}
         given = {lists.get(word, word): [value] if word in lists else value
@@ -289,6 +314,166 @@ def test_every_verb_plans_alike_by_every_door(stopped: Path, work: str) -> None:
 
 EFFECTIVE = {"ticks": 15, "loops": 19, "seam": 14, "switches": 3, "steps": 5}
 """Number of options that change the plan of each kind of work, or its judgement."""
+
+
+_BEFORE: list[Any] = []
+"""What a verb asked for before it stopped: the machine of its link, the address of a cluster."""
+
+
+class JudgedError(StoppedError):
+    """Raised where a verb would judge, search or write, with its request."""
+
+
+def fingerprint(value: Any) -> Any:
+    """Return a part of a request in a form that can be compared."""
+    match value:
+        case None:
+            return None
+        case Plan():
+            return value.commands.rows_sha256(), fingerprint(value.machine), dict(value.options)
+        case Machine():
+            return value.name, value.sha256, value.parameters
+        case Spec():
+            return spec_sha256(value)
+        case Deadline():
+            return None if isinf(value.end_s) else round(value.end_s - time.monotonic(), -1)
+        case Question():
+            left = {"progress", "job", "words"}
+            return {
+                one.name: fingerprint(getattr(value, one.name))
+                for one in fields(value)
+                if one.name not in left
+            }
+    return repr(value)
+
+
+@pytest.fixture
+def unjudged(monkeypatch: pytest.MonkeyPatch, jobs: Path) -> Path:
+    """Stop every verb after its plan, where it would judge; return the folder with the jobs."""
+    from threadline.base import cluster
+    from threadline.cli import compile_, design, equal_, run_
+    from threadline.live import links
+    from threadline.proof import recorded
+    from threadline.readback import equal
+    from threadline.search import by_pace, learned_job, machine_yield
+
+    compared = importlib.import_module("threadline.search.compare")
+
+    def stop(*parts: Any, **more: Any) -> None:
+        more.pop("progress", None)
+        error = JudgedError("judged")
+        listed = [*parts, *more.values(), *_BEFORE]
+        error.asked = tuple(fingerprint(one) for one in listed if one is not None)
+        raise error
+
+    def prove(plan: Plan, spec: Spec, _progress: object = None, *parts: Any, **more: Any) -> None:
+        trials = more.pop("trials", parts[0] if parts else None)
+        stop(plan, spec, trials, *parts[1:], **more)
+
+    def linked(_link: str, _machine: Machine, *_: Any, actual: Machine | None, **__: Any) -> Any:
+        _BEFORE.append(actual)
+        return SimpleNamespace(close=lambda: None)
+
+    def connected(address: str, _tell: object) -> AbstractContextManager[None]:
+        _BEFORE.append(address)
+        return nullcontext()
+
+    for module in (pipeline, run_, compared):
+        monkeypatch.setattr(module, "prove_plan", prove)
+    for module in (links, run_):
+        monkeypatch.setattr(module, "link_of", linked)
+    for module in (pipeline, compile_):
+        monkeypatch.setattr(module, "write", lambda plan, *_, **__: stop(plan))
+    for module in (equal, equal_):
+        monkeypatch.setattr(module, "equal_targets", lambda plan, *_: stop(plan))
+    for pace, search in by_pace.SEARCHES.items():
+        monkeypatch.setitem(by_pace.SEARCHES, pace, replace(search, find=stop))
+    monkeypatch.setattr(machine_yield, "MachineYield", stop)
+    monkeypatch.setattr(recorded, "refuse_other_files", lambda *one: _BEFORE.append(one[-1]))
+    monkeypatch.setattr(recorded, "judge", lambda _, *parts: stop(*parts))
+    monkeypatch.setattr(learned_job, "Learner", lambda plan, _: plan)
+    monkeypatch.setattr(learned_job, "learn", stop)
+    monkeypatch.setattr(cluster, "on_cluster", connected)
+
+    def designed(file: Path, machine: Machine, spec: Spec, options: Options, wanted: Any,
+                 *_: Any) -> None:  # fmt: skip
+        stop(machine, spec, options, wanted)
+
+    monkeypatch.setattr(design, "search_design", designed)
+    monkeypatch.setattr("threadline.search.design.design", designed)
+    return jobs
+
+
+OTHER = {
+    "loops": "lathe-winder+stiction", "switches": "letter-placer+own-damping",
+    "steps": "schiffli-frame+ten-yards",
+}  # fmt: skip
+"""By kind of work: a machine that runs what is planned for another one."""
+
+
+def requests(work: str, folder: Path) -> dict[str, tuple[dict[str, Any], dict[str, Any]]]:
+    """Return words of the command line and of Python for each option that changes no plan."""
+    low, high = ("60 stitch/min", "90 stitch/min") if work == "steps" else ("20 mm/s", "50 mm/s")
+    alike = {
+        "spec": str(folder / f"{work}.spec.toml"), "par": str(folder / "FW-CNC.PAR"),
+        "actual": OTHER[work], "repeats": 3, "yield": "90 %", "ends": "50 %", "band": "10 %",
+        "margin": "20 %", "low": low, "high": high, "learned": 2, "mismatch": True,
+        "within": "5 min",
+    }  # fmt: skip
+    many: tuple[dict[str, Any], dict[str, Any]] = (
+        {"tolerances": True}, {"level": "over tolerances"},
+    )  # fmt: skip
+    return {name: ({name: value}, {name: value}) for name, value in alike.items()} | {
+        "nominal": ({"nominal": True}, {"level": "nominal"}),
+        "tolerances": many,
+        "cluster": ({**many[0], "cluster": "localhost:9"}, {**many[1], "cluster": "localhost:9"}),
+    }
+
+
+def test_every_option_of_the_level_and_of_searches_is_walked(jobs: Path) -> None:
+    """``level`` is the flags of the command line in one."""
+    others = {one.name for one in TABLE if one.group is not Group.PLAN}
+    assert set(requests("loops", jobs)) == others - {"level"}
+
+
+@pytest.mark.long(but="loops")
+@pytest.mark.parametrize("work", OTHER)
+def test_every_verb_asks_alike_by_both_doors(unjudged: Path, work: str) -> None:
+    """Verb by option by kind: the same request to judge or search, or the same refusal.
+
+    A request has the plan, its machine, the specification, and everything that is asked for.
+    """
+    refused: dict[str, set[str]] = {}
+    for verb in LINE_VERBS:
+        plain = by_line(verb, unjudged, work, {})
+        if verb in PYTHON_VERBS:
+            assert by_python(verb, unjudged, work, {}) == plain, verb
+        for name, words in requests(work, unjudged).items():
+            if verb not in option(name).verbs:
+                continue
+            typed, given = words
+            if (verb, name) == ("yield", "cluster"):  # every machine is drawn, at one level
+                typed = given = {"cluster": "localhost:9"}
+            found = by_line(verb, unjudged, work, typed)
+            if verb in PYTHON_VERBS:
+                assert by_python(verb, unjudged, work, given) == found, (verb, name)
+            if isinstance(found, str):
+                refused.setdefault(name, set()).add(verb)
+            else:
+                assert found != plain, (verb, name)
+    assert refused == REFUSED[work]
+
+
+_UNLEARNED = {
+    one.name: {"learn"} for one in TABLE
+    if one.group is not Group.PLAN and "learn" in one.verbs and Door.LINE in one.doors
+}  # fmt: skip
+REFUSED = {
+    "loops": {"band": {"learn"}},  # the machine has no spring
+    "switches": _UNLEARNED | {name: {"fastest"} for name in ("low", "high", "learned")},
+    "steps": _UNLEARNED | {"learned": {"fastest"}},
+}
+"""By kind of work: options of a verb that have no meaning for the job or its machine."""
 
 
 @pytest.mark.parametrize(
@@ -421,8 +606,8 @@ def test_a_reason_names_options_that_can_be_given() -> None:
         named = [verb, *re.findall(r"(?:to|Learn) ([a-z]+)", why.instead)]
         taken = {name for other in named for name in own.get(other, set())}
         taken |= {o.name for other in named if other in PLANNERS for o in options_for(other)}
-        for option in re.findall(r"--([a-z-]+)", f"{why.why} {why.instead}"):
-            assert option in taken, (one.name, verb, option)
+        for typed in re.findall(r"--([a-z-]+)", f"{why.why} {why.instead}"):
+            assert typed in taken, (one.name, verb, typed)
         for other in re.findall(r"[Gg]ive it to (?!threadline panel)([a-z]+)", why.instead):
             assert other in one.verbs, (one.name, verb)
 
