@@ -17,6 +17,7 @@ from threadline.cli.lazy import COMMANDS, LazyGroup
 from threadline.panel.control import in_page_words
 from threadline.proof.option_form import Door, Group, Option, Type
 from threadline.proof.option_table import PYTHON_VERBS, TABLE, options_for, python_name
+from threadline.proof.verbs_without import reasons
 
 ROOT = Path(__file__).parents[1]
 PAGE = ROOT / "docs" / "options.md"
@@ -38,7 +39,8 @@ fields of the panel again.
 Type a value with its unit, in quotes if it contains a blank: `--feed "36 mm/s"`, in Python
 `feed="36 mm/s"`. In each table, `value` names the SI unit to which the value is converted, and
 `panel` among the commands means that the operator's panel has the option. If an option has another
-meaning or default with one command, a line that begins with the command says so.
+meaning or default with one command, a line that begins with the command says so. A row that begins
+with *not* says why a command does not take the option, and what to use instead.
 
 """
 
@@ -70,6 +72,8 @@ def _section(one: Option) -> str:
         rows.append(("machines", "; ".join(_KINDS[kind] for kind in one.kinds)))
     if one.recorded is not None:
         rows.append(("recordings and proofs", f"`{one.recorded.key}`"))
+    for without in reasons(one.name):
+        rows.append((f"not {', '.join(without.verbs)}", f"{without.why}. {without.instead}"))
     table = "".join(f"| {name} | {_cell(text)} |\n" for name, text in rows)
     texts = [one.help, *(f"`{verb}`: {text}" for verb, text in one.helps.items())]
     return f"### {title}\n\n" + "\n\n".join(texts) + f"\n\n| | |\n|---|---|\n{table}\n"

@@ -58,6 +58,7 @@ def compare(
     with_fastest: bool = False,
     spec: PathLike | Spec | None = None,
     par: PathLike | None = None,
+    actual: PathLike | Machine | None = None,
     dialect: str | None = None,
     feed_mode: str | None = None,
     axes: str | None = None,
@@ -82,6 +83,7 @@ def compare(
     yield_: str | None = None,
     ends: str | None = None,
     band: str | None = None,
+    cluster: str | None = None,
 ) -> Comparison: ...
 def compile(
     job: PathLike,
@@ -124,6 +126,7 @@ def design(
     front: int = 0,
     searches: int = 1,
     spec: PathLike | Spec | None = None,
+    par: PathLike | None = None,
     interpolation: str = "default",
     law: str | None = None,
     feed: str | None = None,
@@ -138,6 +141,8 @@ def design(
     tolerance: str = "0.1 mm",
     limits: str = "100 %",
     shaper: str | None = None,
+    mode: str | None = None,
+    damping: float | str | None = None,
     feed_forward: bool = False,
     smoothing: str | Sequence[str] | None = None,
     robust: str | None = None,
@@ -290,7 +295,10 @@ def learn(
     narrow: str | None = None,
     table: str | None = None,
     level: Literal["nominal", "repeated", "over tolerances"] = "repeated",
+    yield_: str | None = None,
     ends: str | None = None,
+    band: str | None = None,
+    cluster: str | None = None,
 ) -> LearnedJob | LearnedRuns: ...
 def prove(
     job: PathLike,
@@ -328,6 +336,7 @@ def prove(
     yield_: str | None = None,
     ends: str | None = None,
     band: str | None = None,
+    cluster: str | None = None,
 ) -> Proved: ...
 def run(
     job: PathLike,
@@ -382,6 +391,7 @@ def yields(
     seed: int = 1,
     spec: PathLike | Spec | None = None,
     par: PathLike | None = None,
+    actual: PathLike | Machine | None = None,
     interpolation: str = "default",
     law: str | None = None,
     feed: str | None = None,

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+import threadline as tl
 from tests.test_limits_alone import files as limits_alone
 from threadline.cli.main import main
 
@@ -55,3 +56,20 @@ def test_limits_alone_and_a_job_with_feeds(
     answer = json.loads(_compared(capsys, *words, "--json"))
     assert answer["fastest"]["linear"]["best"] > 0.0
     assert answer["fastest_left_out"] is None
+
+
+def test_another_machine_runs_what_is_compared(capsys: pytest.CaptureFixture[str]) -> None:
+    """As with ``prove``: the plans stay as they are, and the other machine runs them."""
+    actual = "lathe-winder+stiction"
+    words = [str(EXAMPLES / "x-180.prg"), "-m", "lathe-winder", "--interpolation", "linear"]
+    answer = json.loads(_compared(capsys, *words, "--actual", actual, "--no-fastest", "--json"))
+    proof = tl.prove(words[0], words[2], interpolation="linear", actual=actual, level="nominal")
+    (compared,) = answer["proofs"]
+    assert compared["criteria"] == proof.json()["criteria"]
+    assert (
+        compared["criteria"]
+        != tl.prove(words[0], words[2], interpolation="linear", level="nominal").json()["criteria"]
+    )
+    found = tl.compare(words[0], words[2], ["linear"], actual=actual, level="nominal")
+    assert f"run by {actual}, nominal" in repr(found)
+    assert found.proofs[0].verdict.results == proof.verdict.results

@@ -142,7 +142,7 @@ def test_run_learn_run_over_the_link(
     [
         (["-o", "table.txt"], "ends in .npz or .csv"),
         (["--from", "none"], "there is no run 'none'"),
-        (["--from", "none", "--ends", "100 %"], "are about simulated ones"),
+        (["--from", "none", "--ends", "100 %"], "--ends asks for simulated machines"),
         (["--table", "none.npz"], "cannot read"),
         (["--from", "x.npz", "--table", "x.npz"], "names the table that it played"),
         (["--gain", "0"], "must be above 0"),

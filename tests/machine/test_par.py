@@ -6,9 +6,13 @@ from pathlib import Path
 
 import pytest
 
-from threadline.errors import MachineError
+from threadline.errors import MachineError, OptionError
 from threadline.machine import load_machine
 from threadline.machine.par import read_parameters
+from threadline.proof.option_form import Door
+from threadline.proof.request import Words
+from threadline.search.design_question import DesignAims, design_question
+from threadline.search.design_space import design_space
 
 MACHINE = load_machine("lathe-winder")
 PRINTED = """\
@@ -87,3 +91,20 @@ def test_a_missing_file_is_named(tmp_path: Path) -> None:
     """Without a traceback of the operating system."""
     with pytest.raises(MachineError, match=r"cannot read parameter file .*No such file"):
         read_parameters(tmp_path / "none.par", MACHINE)
+
+
+def test_a_redesign_keeps_the_settings_unless_it_changes_them(tmp_path: Path) -> None:
+    """A redesigned gain would be replaced again by the settings of the same file."""
+    par = write(tmp_path, PRINTED + "3 ; axes\n6 ; Kp\n7 ; Kd\n")
+    (tmp_path / "mine.toml").write_text(
+        'base = "lathe-winder"\nname = "mine"\n[design.parameters.gains]\n'
+        'of = ["controllers.x.kp"]\nfactor = [0.5, 2]\n'
+    )
+    given = Words.of("design", Door.PYTHON, {"par": par})
+    asked = design_question(given, tmp_path / "a.prg", given.machine("lathe-winder"), DesignAims())
+    assert asked.machine.parameters == str(par)
+    assert design_space(asked.machine).names == ("rotors", "amplifiers")
+    changed = given.machine(tmp_path / "mine.toml")
+    with pytest.raises(OptionError, match=r"gains changes controllers\.x\.kp, and --par"):
+        design_space(changed)
+    assert "gains" in design_space(load_machine(tmp_path / "mine.toml")).names

@@ -26,12 +26,16 @@ GIVEN: dict[str, Any] = {
     "interpolation": "optimal", "law": "cycloidal", "feed": "100 stitch/min", "radius": "A=40 mm",
     "offset": "X=12 mm", "tolerance": "0.05 mm", "contour": "0.45 mm", "limits": "90 %",
     "shaper": "zv:12Hz:0.02", "feed_forward": True, "smoothing": "50 ms", "robust": "100 %",
-    "feed_mode": "path", "dialect": "grbl", "needle": "20 stitch/s",
+    "feed_mode": "path", "dialect": "grbl", "needle": "20 stitch/s", "axes": "A=X,X=A",
+    "outside": "0.05 mm", "reserve": "5 %", "narrow": "1: 0.05 mm",
+    "mode": "3 Hz", "damping": "0.1",
 }  # fmt: skip
 """A text for each option; what some of them need is given with them."""
 WITH = {
     "robust": {"feed_forward": True}, "smoothing": {"feed_forward": True},
-    "contour": {"interpolation": "optimal"},
+    "contour": {"interpolation": "optimal"}, "outside": {"interpolation": "optimal"},
+    "reserve": {"interpolation": "optimal"}, "narrow": {"interpolation": "optimal"},
+    "mode": {"shaper": "zv"}, "damping": {"shaper": "zv"},
 }  # fmt: skip
 
 
@@ -58,7 +62,8 @@ def test_a_kind_of_work_takes_the_options_that_it_tells(machine: str, name: str)
     ("stitcher", "stitcher-even.seam.toml", {"feed_forward": True, "robust": "0 %"}),
     ("schiffli-frame", "rosette.dst", {"law": "cycloidal", "tolerance": "0.5 mm"}),
     ("lathe-winder", "x-180.prg", {"interpolation": "optimal", "contour": "0.2 mm"}),
-    ("letter-placer", "letter-cycle.toml", {"shaper": "um-zv"}),
+    ("letter-placer", "letter-cycle.toml", {"shaper": "um-zv", "mode": "3 Hz", "band": "10 %"}),
+    ("lathe-winder", "x-180.prg", {"interpolation": "linear", "ends": "50 %"}),
 ])  # fmt: skip
 def test_the_panel_proves_what_the_command_line_proves(
     machine: str, program: str, words: dict[str, Any], tmp_path: Path

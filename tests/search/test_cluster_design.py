@@ -111,6 +111,31 @@ def test_python_has_the_cluster_too(
 @pytest.mark.long(
     shown_by="tests/search/test_cluster.py::test_an_answer_is_that_of_one_computer_to_the_bit"
 )
+def test_a_proof_over_the_tolerances_is_the_same_on_the_cluster(
+    fleet: Fleet, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    job = tmp_path / "turn.prg"
+    job.write_text("G91\nG1 X5 F1000\nG1 X-5\nM30\n")
+    sent: list[object] = []
+    real = Cluster.answers
+
+    def counted(self: Cluster, work: object, items: object, done: object) -> object:
+        sent.append(work)
+        return real(self, work, items, done)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(Cluster, "answers", counted)
+    words = {"level": "over tolerances", "interpolation": "linear"}
+    alone = tl.prove(job, "lathe-winder", **words)  # type: ignore[arg-type]
+    assert not sent
+    shared = tl.prove(job, "lathe-winder", cluster=fleet.address, **words)  # type: ignore[arg-type]
+    assert sent
+    assert shared.verdict.results == alone.verdict.results
+    assert shared.verdict.tolerances == alone.verdict.tolerances
+
+
+@pytest.mark.long(
+    shown_by="tests/search/test_cluster.py::test_an_answer_is_that_of_one_computer_to_the_bit"
+)
 def test_python_redesigns_on_the_cluster(
     fleet: Fleet, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -150,9 +175,10 @@ def test_a_cluster_that_would_judge_nothing_is_refused_before_it_is_asked(tmp_pa
     """No scheduler is at port 9: connecting to it would take ten seconds, with another error."""
     job = tmp_path / "turn.prg"
     job.write_text("G91\nG1 X5 F1000\nM30\n")
-    for words, told in ({}, "this search judges none"), ({"yield_": "90 %"}, "machines of yield_="):
-        with pytest.raises(OptionError, match=rf"{told}.*leave cluster= out"):
-            tl.fastest(job, "lathe-winder", cluster="localhost:9", **words)
+    for ask in (tl.prove, tl.compare, tl.fastest, tl.learn):
+        for words, told in ({}, "this level has none"), ({"yield_": "90 %"}, "machines of yield_="):
+            with pytest.raises(OptionError, match=rf"{told}.*leave cluster= out"):
+                ask(job, "lathe-winder", cluster="localhost:9", **words)  # type: ignore[operator]
 
 
 def test_a_job_that_changed_since_is_refused(tmp_path: Path) -> None:

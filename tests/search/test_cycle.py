@@ -10,10 +10,13 @@ from typing import Any
 import numpy as np
 import pytest
 
+import threadline as tl
 from tests.search.test_switched_commands import SCAN_S
 from threadline.cli.main import main
 from threadline.commands.intents import Scheduled
-from threadline.errors import PlanError
+from threadline.commands.plan import Plan
+from threadline.errors import OptionError, PlanError
+from threadline.face.answers import FastestResult
 from threadline.jobs import read_job
 from threadline.jobs.operations import Move
 from threadline.machine import Machine, load_machine
@@ -25,6 +28,7 @@ from threadline.search.cycle import FastestCycle, fastest_cycle
 from threadline.search.move_list import move_list, overlapped
 from threadline.search.paced import Question
 from threadline.verdict import load_spec
+from threadline.verdict.types import Level
 
 CYCLE = Path(__file__).parents[2] / "examples" / "letter-cycle.toml"
 PLACER = "letter-placer+whole-scans+own-damping"
@@ -313,3 +317,67 @@ def test_a_vacuum_is_drawn_while_its_cylinder_comes_to_rest() -> None:
     assert on(cut, "knife") - down[1] == pytest.approx(34, abs=1)
     assert on(cut, "knife") - down[1] >= 34
     assert list(overlapped(free, machine)) == list(free), "once is enough"
+
+
+TO_AND_FRO = """name = "to and fro"
+[[operation]]
+valve = "main_air"
+[[operation]]
+move = { X = "200 mm" }
+[[operation]]
+move = { X = "0 mm" }
+"""
+
+
+def _rows(plan: Plan) -> str:
+    return plan.commands.rows_sha256()
+
+
+def test_python_proves_the_cycle_by_the_file_that_it_writes(tmp_path: Path) -> None:
+    """Each move has a command of its own, and no option of ``prove`` gives that."""
+    job = tmp_path / "to and fro.toml"
+    job.write_text(TO_AND_FRO)
+    found = tl.fastest(job, "letter-placer", level="nominal")
+    assert found.best_options is None and found.move_list is not None
+    assert 'no options describe it; .prove("best.toml") writes its move list' in repr(found)
+    with pytest.raises(OptionError, match=r'there is no file for it. Give one: \.prove\("best'):
+        found.prove()
+    with pytest.raises(OptionError, match="is the move list that was searched"):
+        found.prove(job)
+    assert job.read_text() == TO_AND_FRO
+    proof = found.prove(tmp_path / "best.toml")
+    assert proof.passed and proof.verdict.level is Level.NOMINAL
+    assert proof.verdict.result("cycle_time").measured == found.best
+    assert _rows(proof.plan) == _rows(found.of.proof.plan)
+    again = tl.prove(found.write(tmp_path / "again.toml"), "letter-placer", level="nominal")
+    assert _rows(again.plan) == _rows(proof.plan)
+    file = tmp_path / "by line.toml"
+    with pytest.raises(SystemExit):
+        main(["fastest", str(job), "-m", "letter-placer", "--nominal", "-o", str(file)])
+    assert file.read_text() == found.move_list
+
+
+def test_options_describe_a_cycle_only_if_they_plan_it(tmp_path: Path) -> None:
+    """Commands that a list gives for a move are not replaced by an option."""
+    spec = tmp_path / "slow.toml"
+    spec.write_text('name = "slow"\n[[criteria]]\nname = "cycle_time"\nlimit = "9 s"\n')
+    words = {"spec": spec, "level": "nominal"}
+    plain, shaped = tmp_path / "plain.toml", tmp_path / "shaped.toml"
+    plain.write_text(TO_AND_FRO)
+    shaped.write_text(TO_AND_FRO.replace('"200 mm" }', '"200 mm" }\nshaper = "um-zvd"'))
+    by_options = tl.fastest(plain, "letter-placer", **words)  # type: ignore[arg-type]
+    assert by_options.best_options == {}
+    assert _rows(by_options.prove().plan) == _rows(by_options.of.proof.plan)
+    by_file = tl.fastest(shaped, "letter-placer", **words)  # type: ignore[arg-type]
+    assert by_file.best_options is None and by_file.best == by_options.best
+    typed = tl.prove(shaped, "letter-placer", **words)  # type: ignore[arg-type]
+    assert _rows(typed.plan) != _rows(by_file.of.proof.plan)
+    assert _rows(by_file.prove(tmp_path / "best.toml").plan) == _rows(by_file.of.proof.plan)
+
+
+def test_a_file_is_for_move_lists_alone() -> None:
+    found = FastestResult(
+        best=0.02, unit="m/s", limited_by="a", of=None, best_options={}, _asked=lambda *_: None
+    )
+    with pytest.raises(OptionError, match="the best plan has options, and no file"):
+        found.prove("best.toml")

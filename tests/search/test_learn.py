@@ -18,10 +18,11 @@ from threadline.files import tick_table
 from threadline.files.formats import read_table
 from threadline.files.formats.tick_table import write_table_csv, write_table_npz
 from threadline.machine import load_machine
-from threadline.machine.vary import corners, off_tolerance
+from threadline.machine.vary import band_of, corners, off_tolerance
+from threadline.proof import request
 from threadline.proof.option_form import Door
 from threadline.proof.options import describe, options_from, options_of
-from threadline.proof.pipeline import open_job, plan_job
+from threadline.proof.pipeline import Trials, open_job, plan_job
 from threadline.proof.request import Words
 from threadline.search.learn import Learner, learn
 from threadline.search.learned_job import LearnedJob, learned_from, typed_options
@@ -30,6 +31,7 @@ from threadline.search.repeats import Rules, best_of
 from threadline.twin import simulate
 from threadline.twin.batch import BatchOptions, simulate_batch
 from threadline.verdict import load_spec
+from threadline.verdict.types import Level
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 MACHINE = load_machine("stitcher")
@@ -251,6 +253,51 @@ def test_the_face_learns_and_proves_with_the_table(seam: Path, tmp_path: Path) -
     assert proved.plan.options["table"].startswith('{"learned"')
 
 
+def test_a_job_is_learned_on_every_machine_of_a_band(seam: Path) -> None:
+    """Each machine learns its own table, as it would alone."""
+    words = {"spec": SPEC, "feed_forward": True, "repeats": 1, "level": "nominal"}
+    found = tl.learn(seam, "stitcher", band="10 %", **words)  # type: ignore[arg-type]
+    assert isinstance(found, LearnedJob)
+    machines = band_of(MACHINE, 0.1).machines
+    assert [name for name, _ in found.machines] == [name for name, _ in machines]
+    assert [one.actual.sha256 for _, one in found.machines] == [m.sha256 for _, m in machines]
+    alone = tl.learn(seam, "stitcher", actual=machines[0][1], **words)  # type: ignore[arg-type]
+    assert isinstance(alone, LearnedJob)
+    errors_m, alone_m = (
+        [repeat.error_m for repeat in one.machines[0][1].repeats] for one in (found, alone)
+    )
+    assert errors_m == alone_m and errors_m[1] < errors_m[0]
+    with pytest.raises(OptionError, match=f"each of the {len(machines)} machines"):
+        found.write("table.npz")
+
+
+def test_a_learned_table_is_judged_on_a_share_of_all_machines(
+    seam: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As by ``prove``, here on 20 machines in place of 1000."""
+    few = lambda share: Trials(repeats=2, machines=20, wanted_yield=share)  # noqa: E731
+    monkeypatch.setattr(request, "yielding", few)
+    words = {"spec": SPEC, "actual": SOFT, "feed_forward": True, "repeats": 2}
+    found = tl.learn(seam, "stitcher", yield_="1 %", **words)  # type: ignore[arg-type]
+    assert isinstance(found, LearnedJob)
+    verdict = found.machines[0][1].proof.verdict
+    assert (verdict.level, verdict.wanted_yield, verdict.machines) == (Level.YIELD, 0.01, 20)
+    assert any(result.name == "rejects" for result in verdict.results)
+
+
+@pytest.mark.parametrize("words", [
+    {"level": "over tolerances"}, {"yield_": "90 %"}, {"ends": "100 %"}, {"band": "20 %"},
+    {"actual": "stitcher+backlash"},
+])  # fmt: skip
+def test_recorded_runs_are_not_judged_on_simulated_machines(
+    seam: Path, words: dict[str, object]
+) -> None:
+    """The recording is read after that: there is no such file."""
+    (name,) = words
+    with pytest.raises(OptionError, match=f"runs= judges recorded runs, and {name}=.* asks for"):
+        tl.learn(seam, "stitcher", runs=["none.npz"], **words)  # type: ignore[arg-type]
+
+
 @pytest.mark.parametrize(
     ("words", "refusal"),
     [
@@ -258,7 +305,8 @@ def test_the_face_learns_and_proves_with_the_table(seam: Path, tmp_path: Path) -
         ({"low_pass": "900 Hz"}, "is not between 0 and 400 Hz"),
         ({"gain": "120 %"}, "at most 100 %"),
         ({"repeats": 0}, "is not from 1 to 100"),
-        ({"ends": "100 %", "actual": "stitcher+backlash"}, "exclude each other"),
+        ({"ends": "100 %", "actual": "stitcher+backlash"}, "ends= and actual= exclude each other"),
+        ({"ends": "100 %", "band": "20 %"}, "ends= and band= exclude each other"),
         ({"measured": "foot"}, "unknown measured"),
     ],
 )

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import threadline as tl
 from tests.search.plans import JOB
 from threadline.base.arrays import FloatArray
 from threadline.base.workers import Done
@@ -254,6 +255,29 @@ def test_machines_of_every_kind_are_drawn(job: str, name: str, measure: str) -> 
     assert any(row.name == measure for row in found.found.rows)
 
 
+@pytest.mark.parametrize(
+    ("job", "name", "overlay", "words"),
+    [
+        ("x-180.prg", "lathe-winder", "stiction", {"interpolation": "linear"}),
+        ("letter-cycle.toml", "letter-placer", "own-damping", {}),
+        ("rosette.dst", "schiffli-frame", "ten-yards", {"feed": "60 stitch/min"}),
+    ],
+)
+def test_machines_like_the_one_that_runs_are_drawn(
+    job: str, name: str, overlay: str, words: dict[str, str]
+) -> None:
+    """The overlay leaves the commands as they are, so the other machine's own yield is the same."""
+    file = JOB.parent / job
+    found = tl.yields(file, name, actual=f"{name}+{overlay}", variants=2, **words)
+    own = tl.yields(file, f"{name}+{overlay}", variants=2, **words)
+    planned_for = tl.yields(file, name, variants=2, **words)
+    measured, alone, other = (
+        np.stack([row.values for row in one.found.rows]) for one in (found, own, planned_for)
+    )
+    assert np.array_equal(measured, alone, equal_nan=True)
+    assert not np.array_equal(measured, other, equal_nan=True)
+
+
 @pytest.mark.long(only="rosette.dst-schiffli-frame-more0")
 @pytest.mark.parametrize(
     ("job", "name", "more"),
@@ -262,6 +286,8 @@ def test_machines_of_every_kind_are_drawn(job: str, name: str, measure: str) -> 
         ("rosette.dst", "schiffli-frame", []),
         ("x-180.prg", "lathe-winder", ["--feed-forward", "--tolerance", "0.05 mm"]),
         ("x-180.prg", "stepper-winder", []),
+        # The worst machine is one like the machine that runs.
+        ("x-180.prg", "lathe-winder", ["--actual", "lathe-winder+stiction"]),
     ],
 )
 def test_the_command_that_is_told_proves_the_worst_machine(

@@ -260,11 +260,14 @@ def test_every_verb_that_judges_takes_the_fibre(
     assert given[0] >= {"slip_tendency", "planned_lifting"}
 
 
-def test_compile_says_who_takes_a_product(capsys: pytest.CaptureFixture[str]) -> None:
+def test_compile_says_why_it_takes_no_product(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as ended:
         main(["compile", "p.prg", "-m", "lathe-winder", "--product", "p.wind.toml"])
     assert ended.value.code == 2
-    assert "compile takes no --product; prove, run, " in capsys.readouterr().err
+    assert (
+        "compile takes no --product: a product is for the judgement of the fibre, and no command "
+        "depends on it. Give it to prove."
+    ) in capsys.readouterr().err
 
 
 def test_the_distance_of_the_eye_is_that_of_a_cylinder(tmp_path: Path) -> None:

@@ -82,6 +82,7 @@ def compare(
             with_fastest=fastest,
             progress=progress,
             trials=trials,
+            actual=words.actual(),
         )
         tables = comparison_tables(comparison, shown)
         written = None if report is None else write_comparison(comparison, report, tables)

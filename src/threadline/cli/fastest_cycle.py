@@ -13,13 +13,12 @@ from threadline.machine import Machine
 from threadline.proof.pipeline import Proof
 from threadline.report.document import Printed
 from threadline.report.switching import write_switching
-from threadline.search.by_pace import Answer
+from threadline.search.by_pace import Answer, best_move_list
 from threadline.search.cycle import FastestCycle, cycle_s
 from threadline.search.cycle_comparison import CycleRow, compare_cycles
 from threadline.search.cycle_forecast import MoveChoice
 from threadline.search.cycle_robust import RobustCycle
 from threadline.search.fastest import RANGE
-from threadline.search.move_list import move_list
 from threadline.search.report_data import report_data
 from threadline.verdict import closing, verdict_rows
 from threadline.verdict.rendering import continuous
@@ -232,15 +231,9 @@ class CycleOutput(SearchOutput):
 
 def write_move_list(found: Answer, file: Path) -> Path | None:
     """Write the move list of the shortest cycle; return its file, None if no cycle is in spec."""
-    question, robust = found.question, found.over_band
-    job = found.of.job if robust is None else robust.job
-    if job is None:
+    text = best_move_list(found)
+    if text is None:
         return None
-    band_text = "" if question.band is None else f" for modes within {question.band * 100:g} %"
-    text = (
-        f"# The shortest cycle of {question.file.name} in spec on {question.machine.name}"
-        f"{band_text}, by threadline fastest.\n{move_list(job, question.machine)}"
-    )
     with staged_file(file) as stream:
         stream.write(text.encode())
     return file

@@ -34,6 +34,7 @@ from threadline.search.learned_job import (
     check_table_file,
     learned_from,
     learned_on_twins,
+    refuse_simulated,
     rules_of,
     typed_options,
 )
@@ -113,11 +114,13 @@ def learn(
     check_outputs(file=output, folder=report)
     if output is not None:
         check_table_file(output)
-        if words.text("ends") is not None:
-            raise OptionError(
-                f"-o {str(output)!r}: each of the machines of --ends learns a table of its own",
-                remedy="Leave --ends out, and name the machine with --actual.",
-            )
+        for several in ("ends", "band"):
+            if words.text(several) is not None:
+                raise OptionError(
+                    f"-o {str(output)!r}: each of the machines of --{several} learns a table of "
+                    "its own",
+                    remedy=f"Leave --{several} out, and name the machine with --actual.",
+                )
     if learning.runs:
         _from_runs(job, machine, learning, words, rules, report, json=json)
         return
@@ -166,12 +169,12 @@ def _from_runs(
     job: Path, machine: str, learning: Learning, words: Words, rules: Rules, report: Path | None,
     *, json: bool,
 ) -> None:  # fmt: skip
-    if report is not None or words.text("ends") is not None or words.text("actual") is not None:
+    if report is not None:
         raise OptionError(
-            "--from learns from recorded runs, and --report, --ends and --actual are about "
-            "simulated ones",
-            remedy="Leave them out.",
+            "--from learns from recorded runs, and --report is about simulated ones",
+            remedy="Leave --report out.",
         )
+    refuse_simulated(words)
     recorded = {name: _recording(name, learning.store) for name in learning.runs or ()}
     if len(recorded) < len(learning.runs or ()):
         raise OptionError("--from names a run twice", remedy="Name each run once.")

@@ -102,16 +102,11 @@ def _argument_fault(error: TyperException) -> str:
         text = f"{error.param.get_error_hint()} {reason}. {remedy}"
         return f"[{OptionError.code}] {text} See the command's --help."
     # Imported only here: the table of options imports numpy.
-    from threadline.proof.option_table import TABLE
+    from threadline.proof.request import line_refusal
 
-    verb = getattr(getattr(error, "ctx", None), "info_name", None)
-    name = getattr(error, "option_name", "")
-    verbs_with_option = next((one.verbs for one in TABLE if one.typed == name), ())
-    if verbs_with_option and verb not in verbs_with_option:
-        return (
-            f"[{OptionError.code}] {verb} takes no {name}; {', '.join(verbs_with_option)} take it. "
-            "Leave it out."
-        )
+    verb = getattr(getattr(error, "ctx", None), "info_name", None) or ""
+    if (refused := line_refusal(verb, getattr(error, "option_name", ""))) is not None:
+        return str(refused)
     reason = error.format_message().rstrip(".")
     text = getattr(getattr(error, "param", None), "help", "")
     if reason.startswith("Missing") and text:

@@ -173,15 +173,17 @@ def yield_(
         if wanted is not None and not is_enough:
             cheapest = _cheapest(judged, wanted, question, progress)
         level = Level.DRAWN
-        title = f"{judged.plan.job.name} on {chosen.name}: {_words(found, level)}"
+        drawn_from = judged.plan.machine
+        ran = "" if drawn_from.sha256 == chosen.sha256 else f", run by {drawn_from.name}"
+        title = f"{judged.plan.job.name} on {chosen.name}{ran}: {_words(found, level)}"
         with together(worst):
             if worst is not None:
-                write_worst(chosen, worst_machine, worst, "yield")
+                write_worst(drawn_from, worst_machine, worst, "yield")
             picture = None if report is None else _drawn(found, title, report)
     prove_command = command_line(
         "prove",
         question.job,
-        {"-m": question.machine, "--actual": worst, **question.words.typed(), "--nominal": ""},
+        {"-m": question.machine, **question.words.typed(), "--actual": worst, "--nominal": ""},
     )
     if json:
         extra: dict[str, Any] = {} if picture is None else {"report": str(picture)}

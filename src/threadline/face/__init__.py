@@ -105,7 +105,8 @@ def prove(job: PathLike, machine: PathLike | Machine, **words: Word) -> Proved:
     given = Words.of("prove", Door.PYTHON, words)
     trials, chosen, options = given.trials(), given.machine(machine), given.options(job)
     spec = with_shaping(given.spec(chosen), chosen, options)
-    return Proved(prove_job(Path(job), chosen, spec, options, None, trials, given.actual()))
+    with given.judging():
+        return Proved(prove_job(Path(job), chosen, spec, options, None, trials, given.actual()))
 
 
 @with_options
@@ -130,7 +131,7 @@ def fastest(job: PathLike, machine: PathLike | Machine, **words: Word) -> Fastes
         As on the command line.
     """
     from threadline.search import FastestJob
-    from threadline.search.by_pace import answered
+    from threadline.search.by_pace import answered, best_move_list
     from threadline.search.mismatch import CYCLE
     from threadline.search.question import question_of
 
@@ -146,19 +147,26 @@ def fastest(job: PathLike, machine: PathLike | Machine, **words: Word) -> Fastes
         found.limited_by,
         found.of if found.over_band is None else found.over_band,
         found.again,
+        best_move_list(found),
         found.certainty,
         found.mismatch,
         found.ended,
         partial(_prove_again, job, machine, kept),
         "the velocity limits of the axes" if own_end else "the end of the search",
         "" if found.searched is CYCLE else found.searched.name,
+        Path(job),
     )
 
 
 def _prove_again(
-    job: PathLike, machine: PathLike | Machine, kept: Mapping[str, Word], **words: Word
+    job: PathLike,
+    machine: PathLike | Machine,
+    kept: Mapping[str, Word],
+    in_place: Path | None,
+    **words: Word,
 ) -> Proved:
-    return prove(job, machine, **{**kept, **words})
+    """Prove a job, or a file ``in_place`` of it, with the kept words of its search."""
+    return prove(job if in_place is None else in_place, machine, **{**kept, **words})
 
 
 @with_options
@@ -201,14 +209,16 @@ def compare(
     trials, named = given.trials(), given.machine(machine)
     planned = given.each_options(job, interpolations, feeds, shapers)
     chosen = with_radii_of(named, planned[0])
-    return compare_job(
-        open_job(Path(job), chosen, planned[0]),
-        chosen,
-        given.spec(chosen),
-        planned,
-        with_fastest=with_fastest,
-        trials=trials,
-    )
+    with given.judging():
+        return compare_job(
+            open_job(Path(job), chosen, planned[0]),
+            chosen,
+            given.spec(chosen),
+            planned,
+            with_fastest=with_fastest,
+            trials=trials,
+            actual=given.actual(),
+        )
 
 
 @with_options
@@ -379,14 +389,21 @@ def learn(
         As on the command line.
     """
     from threadline.files.formats import read_recording
-    from threadline.search.learned_job import learned_from, learned_on_twins, rules_of
+    from threadline.search.learned_job import (
+        learned_from,
+        learned_on_twins,
+        refuse_simulated,
+        rules_of,
+    )
 
     given = Words.of("learn", Door.PYTHON, words)
     if measured not in ("head", "motor"):
         raise OptionError(f"unknown measured {measured!r}", remedy='Give "head" or "motor".')
     rules = rules_of(gain, low_pass, "motor" if measured == "motor" else "head")
     if not runs:
-        return learned_on_twins(given, Path(job), machine, rules, repeats)
+        with given.judging():
+            return learned_on_twins(given, Path(job), machine, rules, repeats)
+    refuse_simulated(given)
     recorded = {str(file): read_recording(file) for file in runs}
     return learned_from(given, Path(job), machine, rules, recorded)
 

@@ -11,7 +11,7 @@ from threadline.base.arguments import checked
 from threadline.base.arrays import FloatArray
 from threadline.base.summary import MOST_ROWS, Summary, html_table
 from threadline.base.wording import plain
-from threadline.base.writing import together
+from threadline.base.writing import staged_file, together
 from threadline.errors import OptionError
 from threadline.files.recording import columns_of
 from threadline.proof.option_form import Word
@@ -195,7 +195,12 @@ class FastestResult:
         job (``docs/api.md``).
     best_options
         The planning options of the best plan: ``tl.prove(job, machine, **best_options)`` proves it.
-        None if nothing is in spec, or if only a move list, and no options, can describe the plan.
+        None if nothing is in spec, or if the moves of the best cycle have commands and waits of
+        their own: no option of ``prove`` gives the command of a single move, and ``move_list`` has
+        them.
+    move_list
+        The best cycle of a move list, as text of a file that ``prove`` takes in place of the job;
+        ``write`` writes it. None for other jobs, or if nothing is in spec.
     certainty
         Loss of speed that is due to the options ``ends``, ``band`` or ``robust``; None without one
         of them.
@@ -212,34 +217,67 @@ class FastestResult:
     limited_by: str
     of: Any
     best_options: Mapping[str, Any] | None = None
+    move_list: str | None = None
     certainty: Certainty | None = None
     mismatch: tuple[Mismatch, ...] = ()
     ended: str = ""
     _asked: Callable[..., Proved] | None = None
     _end: str = "the end of the search"
     _pace: str = "feed"  # empty for a cycle, which has none
+    _job: Path | None = None
 
-    def prove(self, **words: Word) -> Proved:
+    def prove(self, file: PathLike | None = None, **words: Word) -> Proved:
         """Prove the best: the same job on the same machine, with ``best_options``.
 
         Parameters
         ----------
+        file
+            For a move list: the file for ``move_list``. It is written and proved in place of the
+            job, which is necessary where no options describe the best cycle.
         **words
             Options of ``prove`` that replace options of the search, such as ``level="nominal"``.
 
         Raises
         ------
         OptionError
-            If nothing was in spec, or if only a move list can describe the best plan.
+            If nothing was in spec, if only a move list can describe the best plan and no file is
+            given, or if a file is given for another job.
         """
         if self.best is None:
             raise self._nothing_found()
+        if file is not None and self._asked is not None:
+            return self._asked(self.write(file), **words)
         if self._asked is None or self.best_options is None:
             raise OptionError(
-                "only a move list can describe the best plan",
-                remedy="threadline fastest -o FILE writes the move list; prove that.",
+                "only a move list can describe the best plan, and there is no file for it",
+                remedy='Give one: .prove("best.toml").',
             )
-        return self._asked(**{**self.best_options, **words})
+        return self._asked(None, **{**self.best_options, **words})
+
+    @checked
+    def write(self, file: PathLike) -> Path:
+        """Write ``move_list``; ``tl.prove`` takes the returned file in place of the job.
+
+        Raises
+        ------
+        OptionError
+            If nothing was in spec, if the job is no move list, or if the file is the job itself.
+        """
+        if self.best is None:
+            raise self._nothing_found()
+        if self.move_list is None:
+            raise OptionError(
+                "the job is no move list: the best plan has options, and no file",
+                remedy="Give best_options to prove, or call .prove() without a file.",
+            )
+        path = Path(file)
+        if self._job is not None and path.exists() and path.samefile(self._job):
+            raise OptionError(
+                f"{str(path)!r} is the move list that was searched", remedy="Give another file."
+            )
+        with staged_file(path) as stream:
+            stream.write(self.move_list.encode())
+        return path
 
     def _nothing_found(self) -> OptionError:
         """Return the error for the proof of a best plan where no plan is in spec."""
@@ -277,4 +315,10 @@ class FastestResult:
         lasting = "" if duration_s is None else f"{duration_s:.6g} s at "
         so_far = f" so far ({self.ended})" if self.ended else ""
         lines = [f"fastest{so_far}: {lasting}{self.best:.6g} {unit}, limited by {limit}"]
-        return "\n".join([*lines, *([f"  .prove() proves it: {options}"] if options else [])])
+        if self.best_options is None:
+            told = (
+                '  no options describe it; .prove("best.toml") writes its move list and proves it'
+            )
+        else:
+            told = f"  .prove() proves it: {options}" if options else "  .prove() proves it"
+        return "\n".join([*lines, told])

@@ -26,6 +26,8 @@ from threadline.machine import Machine
 from threadline.panel.job_views import plan_views
 from threadline.panel.programs import PROGRAMMED, by_priority, planned, program_path, words_of
 from threadline.panel.welcoming import mandrel_of
+from threadline.proof.option_form import Door, Group
+from threadline.proof.option_table import options_for
 from threadline.proof.pipeline import (
     Proof,
     Trials,
@@ -64,7 +66,9 @@ def calculate(content: Mapping[str, Any]) -> dict[str, Any]:
     check_machine(machine)
     with noting_inputs():
         wanted = load_spec(None if content["spec"] is None else Path(content["spec"]), machine)
-        folder, trials = Path(content["folder"]), trials_of(level=content["level"])
+        folder = Path(content["folder"])
+        words_of_level = [one.word for one in options_for("panel", Door.PANEL, [Group.LEVEL])]
+        trials = trials_of(**{word: content[word] for word in words_of_level})
         with reading_within(folder):
             words = _by_priority(folder, content, machine, wanted, trials)
             plan, options = planned(folder, {**content, **words}, machine)

@@ -117,7 +117,7 @@ def _option_fields() -> dict[str, Any]:
     return fields
 
 
-_TYPES: Mapping[Type, type] = {Type.TEXT: str, Type.FLAG: bool}
+_TYPES: Mapping[Type, type] = {Type.TEXT: str, Type.FLAG: bool, Type.RATIO: str}
 if TYPE_CHECKING:
     _WithOptions = _Strict
 else:
@@ -264,7 +264,8 @@ class Welcome(BaseModel):
     feed_override: bool = True
     """Whether the machine has runs whose feed can be overridden."""
     options: list[str] = []
-    """Planning options that apply to the machine, as a command line names them."""
+    """Options of planning and of the level that apply to the machine, as a command line names
+    them."""
     normal_feed: bool = False
     """Whether the machine has an operator's normal feed, which the priority ``accuracy`` takes."""
     axes: list[Axis]

@@ -18,10 +18,13 @@ from threadline.panel.message_parts import Cylinder, EndSwitch
 from threadline.panel.programs import untaught
 from threadline.panel.protocol import Mandrel
 from threadline.proof.kinds import kind_of
+from threadline.proof.option_form import Door, Group
+from threadline.proof.option_table import options_for
 
 _RAW = f".{ChannelKind.SENSOR.value}"
 _STATES = (ChannelKind.INPUT, ChannelKind.OUTPUT)
 _PLACES = (ChannelKind.COMMANDED, ChannelKind.MEASURED, ChannelKind.LOAD)
+_LEVEL = tuple(one.name for one in options_for("panel", Door.PANEL, [Group.LEVEL]))
 
 
 def positions(
@@ -125,7 +128,7 @@ def welcome_of(machine: Machine, client: int, link: str, far_end: AtLink) -> say
         untaught=untaught(machine),
         feed_override=not run_kind_of(machine).no_override,
         by_hand=run_kind_of(machine).by_hand,
-        options=list(kind_of(machine).planned_by),
+        options=[*kind_of(machine).planned_by, *_LEVEL],
         normal_feed=machine.operator is not None,
         axes=[
             say.Axis(

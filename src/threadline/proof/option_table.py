@@ -82,6 +82,7 @@ def _laws() -> tuple[str, ...]:
     return tuple(LAWS)
 
 
+_SHAPED = tuple(verb for verb in PLANNERS if verb not in {"fastest", "learn"})
 _PROVING = ("prove", "run", "compare", "fastest", "design")
 _OF_VERDICT = (*_PROVING, "learn", "panel")
 _AS_GIVEN = "As with prove; default: the recording's."
@@ -101,10 +102,7 @@ TABLE: tuple[Option, ...] = (
         name="par", group=Group.INPUT, type=Type.FILE,
         help="FW-CNC.PAR whose settings replace the settings of the machine file.",
         helps={"judge": "FW-CNC.PAR; default: the file that the recording names."},
-        verbs=(
-            "prove", "run", "compile", "equal", "compare", "fastest", "yield", "animate", "judge",
-            "learn",
-        ),
+        verbs=_TYPED,
         doors=(Door.LINE, Door.PYTHON),
     ),
     Option(
@@ -117,7 +115,7 @@ TABLE: tuple[Option, ...] = (
             "learn": "Machine that repeats the job, planned for --machine: a file or a library "
             "name. Default: the same machine.",
         },
-        verbs=("prove", "run", "fastest", "animate", "judge", "learn"),
+        verbs=("prove", "run", "compare", "fastest", "yield", "animate", "judge", "learn"),
         doors=(Door.LINE, Door.PYTHON),
     ),
     Option(
@@ -177,7 +175,7 @@ TABLE: tuple[Option, ...] = (
     ),
     Option(
         name="axes", group=Group.PLAN, kinds=(TICKS,),
-        verbs=tuple(verb for verb in PLANNERS if verb != "panel"),
+        verbs=PLANNERS,
         help="Axes of the machine that move for the axes of a program made for another machine: "
         '"C=A,Z=X" moves A for C, and X for Z. B=none ignores the words of B, E=none the filament '
         "of a 3D print, and macros=none the moves of Klipper's macros.",
@@ -220,14 +218,15 @@ TABLE: tuple[Option, ...] = (
     ),
     Option(
         name="long-stitches", group=Group.PLAN, kinds=(STEPS,),
-        verbs=tuple(verb for verb in PLANNERS if verb != "panel"),
+        verbs=PLANNERS,
         values=lambda: LONG_STITCHES,
         help="How stitches of a design that are longer than the machine's longest move are sewn: "
         "travel (needle up; the default), split (the needle enters on the way) or refuse. Jumps "
         "before such a stitch change nothing.",
         helps={"judge": _AS_GIVEN},
-        attribute="long_stitches", parse=parse_long_stitches, doors=(Door.LINE, Door.PYTHON),
+        attribute="long_stitches", parse=parse_long_stitches,
         recorded=FileForm(key="long-stitches", write=_same, read=parse_long_stitches),
+        label="Long stitches", placeholder="travel",
     ),
     Option(
         name="tolerance", group=Group.PLAN, unit="m", verbs=PLANNERS, kinds=(TICKS, STEPS),
@@ -265,20 +264,22 @@ TABLE: tuple[Option, ...] = (
     ),
     Option(
         name="mode", group=Group.PLAN, unit="Hz", kinds=(SWITCHES,),
-        verbs=("prove", "run", "compile", "equal", "compare", "yield", "animate", "judge"),
+        verbs=_SHAPED,
         help='On an on/off machine: design mode of its shaper, "3.04 Hz"; default: the machine\'s.',
         attribute="shaper_mode", parse=str,
         recorded=FileForm(key="mode", write=_same, read=str),
+        label="Mode", placeholder="the machine's",
     ),
     Option(
         name="damping", group=Group.PLAN, type=Type.RATIO, kinds=(SWITCHES,),
-        verbs=("prove", "run", "compile", "equal", "compare", "yield", "animate", "judge"),
+        verbs=_SHAPED,
         help="Damping ratio of the --mode of an on/off machine; default: the machine's.",
         attribute="shaper_damping", parse=parse_damping,
         recorded=FileForm(
             key="damping", read=parse_damping,
             write=lambda ratio: None if ratio is None else repr(ratio),
         ),
+        label="Damping", placeholder="the machine's",
     ),
     Option(
         name="feed-forward", group=Group.PLAN, type=Type.FLAG, verbs=PLANNERS, kinds=(TICKS,),
@@ -334,7 +335,7 @@ TABLE: tuple[Option, ...] = (
         label="Contour", placeholder=f"{DEFAULT_CONTOUR_M * 1e3:g} mm, with optimal",
     ),
     Option(
-        name="outside", group=Group.PLAN, unit="m", verbs=_TYPED, kinds=(TICKS,),
+        name="outside", group=Group.PLAN, unit="m", verbs=PLANNERS, kinds=(TICKS,),
         help="With optimal: how far the path may leave the program on the outside of its corners, "
         'at most the tolerance: "0.1 mm". A path that enters and leaves a corner on its outside '
         "rounds it more widely. Default: the path stays on the inside.",
@@ -344,9 +345,10 @@ TABLE: tuple[Option, ...] = (
         recorded=FileForm(
             key="outside", write=lambda m: _exact("m")(m or None), read=parse_outside_m
         ),
+        label="Outside", placeholder="none, with optimal",
     ),
     Option(
-        name="reserve", group=Group.PLAN, verbs=_TYPED, kinds=(TICKS,),
+        name="reserve", group=Group.PLAN, verbs=PLANNERS, kinds=(TICKS,),
         help="With optimal: share of volts and current of every drive that the plan leaves to the "
         'loop: "5 %", "volts 1 %, current 3 %". Default: the reserve in the machine file, else '
         "10 %.",
@@ -357,15 +359,17 @@ TABLE: tuple[Option, ...] = (
             key="reserve", read=parse_reserve,
             write=lambda kept: None if kept is None else reserve_words(kept),
         ),
+        label="Reserve", placeholder="the machine's, with optimal",
     ),
     Option(
-        name="narrow", group=Group.PLAN, unit="m", verbs=_TYPED, kinds=(TICKS,),
+        name="narrow", group=Group.PLAN, unit="m", verbs=PLANNERS, kinds=(TICKS,),
         help="With optimal: smaller tolerances for some corners, by the program line of the move "
         'that ends there: "13: 0.38 mm, 22: 0.4 mm".',
         helps={"fastest": "With optimal: smaller tolerances for some corners, by the program line "
                "of the move that ends there; default: searched."},
         attribute="narrow", parse=parse_narrow, most_text=MOST_PROFILE,
         recorded=FileForm(key="narrow", write=narrow_words, read=parse_narrow),
+        label="Narrow", placeholder="none, with optimal",
     ),
     Option(
         name="table", group=Group.PLAN, kinds=(TICKS,),
@@ -381,7 +385,7 @@ TABLE: tuple[Option, ...] = (
         recorded=FileForm(key="table", write=_same, read=table_text),
     ),
     Option(
-        name="level", group=Group.LEVEL, verbs=(*_OF_VERDICT,),
+        name="level", group=Group.LEVEL, verbs=_OF_VERDICT,
         help="How far the verdict reaches: nominal is one run; repeated is 20 runs with other "
         "encoder phases, friction and supply; over tolerances adds other machines within the "
         "tolerances of the machine file.",
@@ -408,13 +412,12 @@ TABLE: tuple[Option, ...] = (
         doors=(Door.LINE,),
     ),
     Option(
-        name="yield", group=Group.LEVEL, verbs=_PROVING,
+        name="yield", group=Group.LEVEL, verbs=_OF_VERDICT,
         help='Share of the machines within the tolerances that must be in spec: "99 %", judged '
         "by the lower end of the exact 95 % interval of 1000 drawn machines.",
-        doors=(Door.LINE, Door.PYTHON),
     ),
     Option(
-        name="ends", group=Group.LEVEL, verbs=(*_PROVING, "learn"),
+        name="ends", group=Group.LEVEL, verbs=_OF_VERDICT,
         help="Also judge the machines with loads and springs at the ends of this share of their "
         'tolerances, one run each: "100 %".',
         helps={
@@ -424,17 +427,19 @@ TABLE: tuple[Option, ...] = (
             'ends of this share of their tolerances, one run each: "100 %"; --robust plans for '
             "them.",
         },
-        doors=(Door.LINE, Door.PYTHON),
+        label="Ends of tolerances", placeholder="none",
     ),
     Option(
-        name="band", group=Group.LEVEL, verbs=_PROVING,
+        name="band", group=Group.LEVEL, verbs=_OF_VERDICT,
         help="Also judge machines whose modes vary by this share of their frequencies, one "
         'run each: "20 %".',
         helps={
+            "learn": "Learn on each of several machines whose modes vary by this share of their "
+            'frequencies, every machine its own table: "20 %".',
             "fastest": "Every plan must also pass on machines whose modes vary by this share "
             'of their frequencies: "20 %". An on/off machine gets commands made for that band.',
         },
-        doors=(Door.LINE, Door.PYTHON),
+        label="Band of modes", placeholder="none",
     ),
     Option(
         name="margin", group=Group.SEARCH, verbs=("fastest",), default="0 %",
@@ -470,15 +475,17 @@ TABLE: tuple[Option, ...] = (
         doors=(Door.LINE, Door.PYTHON),
     ),
     Option(
-        name="cluster", group=Group.WHERE, verbs=("yield", "design", "fastest"),
-        help='Judge the machines on the workers of this scheduler of distributed: '
-        '"localhost:8786"; another computer only by TLS, "tls://HOST:8786". The answer is the same '
-        "to the bit.",
-        helps={
-            "fastest": "With --tolerances: judge the machines within the tolerances on "
-            'the workers of this scheduler of distributed: "localhost:8786"; another computer only '
-            'by TLS, "tls://HOST:8786". The answer is the same to the bit.',
-        },
+        name="cluster", group=Group.WHERE,
+        verbs=("prove", "compare", "fastest", "yield", "design", "learn"),
+        help="With --tolerances: judge the machines within the tolerances on "
+        'the workers of this scheduler of distributed: "localhost:8786"; another computer only '
+        'by TLS, "tls://HOST:8786". The answer is the same to the bit.',
+        helps=dict.fromkeys(
+            ("yield", "design"),
+            "Judge the machines on the workers of this scheduler of distributed: "
+            '"localhost:8786"; another computer only by TLS, "tls://HOST:8786". The answer is the '
+            "same to the bit.",
+        ),
         doors=(Door.LINE, Door.PYTHON),
     ),
 )  # fmt: skip

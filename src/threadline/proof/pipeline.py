@@ -41,8 +41,8 @@ from threadline.verdict.types import REPEATED_RUNS, Level, level_of
 
 __all__ = [
     "NOMINAL", "REPEATED", "TOLERANCES", "Proof", "Trials", "check_loops", "check_machine",
-    "open_job", "plan_job", "prove", "prove_plan", "simulate", "target_names", "target_of",
-    "try_plan", "with_product", "with_shaping", "write", "yielding",
+    "open_job", "plan_job", "prove", "prove_plan", "run_by", "simulate", "target_names",
+    "target_of", "try_plan", "with_product", "with_shaping", "write", "yielding",
 ]  # fmt: skip
 
 _MOST_SAMPLES = 5e7  # ticks times runs: half a minute
@@ -382,15 +382,13 @@ def prove_plan(
     judge = Judge(plan, spec) if judge is None else judge
     if trials != trials.alone:
         return _with_others(plan, spec, progress, trials, actual, judge, suspects)
-    if actual is not None and actual.spool is not None:
-        actual = replace(actual, mounted=plan.machine.mounted)
-    if actual is not None or trials.machines:
-        check_dynamics("the motion of another machine", plan.machine, actual)
+    if trials.machines:
+        check_dynamics("the motion of another machine", plan.machine)
+    own_plan = plan if actual is None else run_by(plan, actual)
     kind = kind_of_commands(plan.commands)
     random = np.random.default_rng(REPEAT_SEED)
-    machine = plan.machine if actual is None else actual
+    machine, commands = own_plan.machine, own_plan.commands
     origin = dict(plan.options) | ({} if actual is None else {"actual": actual.reference})
-    commands = plan.commands if actual is None else played_by(plan.commands, plan.machine, actual)
     recordings = of_product(kind.days(commands, machine, trials.repeats, random), trials.product)
     if trials.machines:
         check_uncertain(machine)
@@ -411,7 +409,6 @@ def prove_plan(
             proof = prove_plan(plan, spec, None, one_machine_trials, other_machine, judge)
             return proof.verdict, proof.judged
 
-        own_plan = replace(plan, machine=machine, commands=commands)
         worst_case = over_tolerances(
             own_plan, spec, verdict, trials.machines, runs_of, progress, suspects
         )
@@ -431,9 +428,25 @@ def prove_plan(
         spec=spec,
         judged=(*recordings, *others),
         runs=verdict.runs,
-        actual=actual,
+        actual=None if actual is None else machine,
         worst=worst,
     )
+
+
+def run_by(plan: Plan, actual: Machine) -> Plan:
+    """Return a plan with its commands, and with the machine that runs them in its machine's place.
+
+    A mandrel is mounted on that machine as well.
+
+    Raises
+    ------
+    OptionError
+        If the machine cannot play the commands, or one of the machines has no dynamics.
+    """
+    if actual.spool is not None:
+        actual = replace(actual, mounted=plan.machine.mounted)
+    check_dynamics("the motion of another machine", plan.machine, actual)
+    return replace(plan, machine=actual, commands=played_by(plan.commands, plan.machine, actual))
 
 
 def _runs_within_reach(plan: Plan, spec: Spec) -> int:

@@ -28,6 +28,7 @@ from threadline.motion.path.interpolations import OPTIMAL
 from threadline.proof.kinds import kind_of
 from threadline.proof.option_form import Door, Group, Option, Type, Word
 from threadline.proof.option_table import (
+    PLANNERS,
     PYTHON_VERBS,
     TABLE,
     list_argument,
@@ -38,6 +39,7 @@ from threadline.proof.option_table import (
 from threadline.proof.option_words import parse_band, parse_ends, parse_yield
 from threadline.proof.options import Options, options_of
 from threadline.proof.pipeline import NOMINAL, REPEATED, TOLERANCES, Trials, target_of, yielding
+from threadline.proof.verbs_without import reason
 from threadline.verdict import Spec, load_spec
 
 P = ParamSpec("P")
@@ -217,7 +219,7 @@ class Words:
         if address is None:
             yield
             return
-        if self.verb == "fastest":
+        if self.verb not in _ALWAYS_MANY:
             trials = self.trials()
             if trials.wanted_yield is not None:
                 raise OptionError(
@@ -227,7 +229,7 @@ class Words:
                 )
             if not trials.machines:
                 raise OptionError(
-                    "--cluster judges machines within the tolerances, and this search judges none",
+                    "--cluster judges machines within the tolerances, and this level has none",
                     remedy="Give --tolerances, or leave --cluster out.",
                 )
         from threadline.base.cluster import on_cluster  # few searches use a cluster
@@ -297,21 +299,49 @@ def _refuse_argument(verb: str, word: str) -> NoReturn:
         instead = LEVEL_FLAGS[word]
     if instead is not None:
         raise OptionError(f"{python_name(verb)} takes no {word}", remedy=f"Did you mean {instead}?")
-    others = [
-        python_name(other)
-        for other in PYTHON_VERBS
-        if word in {one.word for one in options_for(other, Door.PYTHON)}
-    ]
-    if others:
-        raise OptionError(
-            f"{python_name(verb)} takes no {word}; {', '.join(others)} take"
-            f"{'s' if len(others) == 1 else ''} it",
-            remedy="Leave it out.",
-        )
+    entry = _BY_WORD.get(word)
+    why = None
+    if entry is not None and Door.PYTHON in entry.doors:
+        why = reason(entry.name, verb)
+    if why is not None:
+        # The decorator of the functions replaces options in the text by arguments.
+        raise OptionError(f"{python_name(verb)} takes no {word}: {why.why}", remedy=why.instead)
     raise OptionError(f"unknown option {word!r}", remedy=nearest(word, [*lists.values(), *taken]))
 
 
+_BY_WORD = {one.word: one for one in TABLE}
+
+
+def line_refusal(command: str, typed: str) -> OptionError | None:
+    """Return the refusal of an option of the table by a command that does not take it.
+
+    Parameters
+    ----------
+    command, typed
+        Name of the command, and the option as typed; None if the table does not have the option.
+    """
+    entry = next((one for one in TABLE if one.typed == typed), None)
+    if entry is None:
+        return None
+    why = reason(entry.name, command)
+    if why is not None:
+        return OptionError(f"{command} takes no {typed}: {why.why}", remedy=why.instead)
+    if command in entry.verbs and Door.LINE not in entry.doors:
+        return OptionError(
+            f"{typed} is an argument of Python",
+            remedy="Give --nominal, or --tolerances; without them the level is repeated.",
+        )
+    if command in PLANNERS:
+        return None
+    verbs = [verb for verb in entry.verbs if verb != "panel"]
+    return OptionError(
+        f"{command} takes no {typed}; {', '.join(verbs)} take{'s' * (len(verbs) == 1)} it",
+        remedy="Leave it out.",
+    )
+
+
 _OF_OPTIMAL = ("contour", "outside", "reserve", "narrow")
+_ALWAYS_MANY = ("yield", "design")  # they judge machines at every level
 _OF_LEVEL = ("level", "nominal", "repeats", "tolerances", "yield_", "ends", "band")
 
 

@@ -13,6 +13,7 @@ from typing import Any
 
 from threadline.base.option_defaults import NO_CONTOUR, UNSHAPED_WORD
 from threadline.commands.plan import Plan
+from threadline.errors import PlanError
 from threadline.jobs.operations import Feed, FeedMode
 from threadline.motion.path.interpolations import OPTIMAL
 from threadline.proof.option_form import Word
@@ -25,7 +26,7 @@ from threadline.proof.option_words import (
     time_words,
     tolerance_words,
 )
-from threadline.proof.options import Options
+from threadline.proof.options import Options, options_of
 from threadline.proof.pipeline import plan_job
 from threadline.search.allowance import FastestJob, options_at
 from threadline.search.cycle import FastestCycle, cycle_s, fastest_cycle
@@ -49,6 +50,7 @@ from threadline.search.mismatch import (
     at_tolerance_ends,
     near_best,
 )
+from threadline.search.move_list import move_list
 from threadline.search.paced import Question
 from threadline.search.question import searched_as
 from threadline.search.shaft import (
@@ -186,8 +188,25 @@ def shaft_words(found: FastestShaft) -> dict[str, Word] | None:
     return {"feed": feed_words(Feed(FeedMode.SHAFT, found.constant.best))}
 
 
-def cycle_words(found: FastestCycle) -> dict[str, Word] | None:
-    """Return the planning option of the shortest cycle; None where it needs a move list."""
+def cycle_words(question: Question, found: FastestCycle) -> dict[str, Word] | None:
+    """Return the planning option of the shortest cycle; None where it needs a move list.
+
+    It needs one if the command of a move is not the command of its cylinder: moves of one cylinder
+    have different shapers, levels or a wait of their own, or the list of the question has commands,
+    which an option does not replace.
+    """
+    words = _shaper_of_each(found)
+    if words is None:
+        return None
+    try:
+        plan = plan_job(question.job, question.machine, options_of(**words))
+    except PlanError:
+        return None
+    same = plan.commands.rows_sha256() == found.proof.plan.commands.rows_sha256()
+    return words if same else None
+
+
+def _shaper_of_each(found: FastestCycle) -> dict[str, Word] | None:
     if found.job is None:
         return None
     overlaps = cycle_s(found.base) < cycle_s(found.unshaped)
@@ -200,6 +219,24 @@ def cycle_words(found: FastestCycle) -> dict[str, Word] | None:
     if all(how == {UNSHAPED_WORD} for how in by_axis.values()):
         return {}
     return {"shaper": ", ".join(f"{axis}={next(iter(how))}" for axis, how in by_axis.items())}
+
+
+def best_move_list(found: Answer) -> str | None:
+    """Return the move list of the shortest cycle, as text of a file for ``prove``.
+
+    None if no cycle is in spec, or if the job is no move list.
+    """
+    question, cycle = found.question, found.of
+    if not isinstance(cycle, FastestCycle):
+        return None
+    job = cycle.job if found.over_band is None else found.over_band.job
+    if job is None:
+        return None
+    band_text = "" if question.band is None else f" for modes within {question.band * 100:g} %"
+    return (
+        f"# The shortest cycle of {question.file.name} in spec on {question.machine.name}"
+        f"{band_text}, by threadline fastest.\n{move_list(job, question.machine)}"
+    )
 
 
 def _feed(question: Question) -> Answer:
@@ -294,7 +331,7 @@ def _switchings(question: Question) -> Answer:
     return Answer(
         question=question, best=best_s, unit="s", duration_s=best_s, intervals=_alone(best_s),
         limited_by=found.limited_by, verdict=found.proof.verdict, tried=found.tried,
-        searched=CYCLE, of=found, words=cycle_words(found), over_band=robust,
+        searched=CYCLE, of=found, words=cycle_words(question, found), over_band=robust,
         plan=lambda: found.proof.plan if robust is None else robust.proof.plan,
     )  # fmt: skip
 

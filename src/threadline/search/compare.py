@@ -137,7 +137,9 @@ def compared_table(
         for shaper, _ in found.refused:
             rows.append([*(shaper if k == "shaper" else "" for k in shown), *blank, "refused"])
     level = found.proofs[0].verdict.level
-    return f"{first.job.name} on {first.machine.name}, {level}", header, rows
+    actual = found.proofs[0].actual
+    ran = "" if actual is None else f", run by {actual.name}"
+    return f"{first.job.name} on {first.machine.name}{ran}, {level}", header, rows
 
 
 def _label(proof: Proof, key: str) -> str:
@@ -183,6 +185,7 @@ def compare(
     with_fastest: bool = True,
     progress: Progress | None = None,
     trials: Trials = NOMINAL,
+    actual: Machine | None = None,
 ) -> Comparison:
     """Prove ``job`` with each of ``planned``; find the fastest feed of each interpolation.
 
@@ -195,6 +198,8 @@ def compare(
         Planning options of each proof, interpolations outermost.
     trials
         Runs by which each plan is judged.
+    actual
+        The machine that runs every plan; None: ``machine``.
 
     Raises
     ------
@@ -229,7 +234,8 @@ def compare(
             refused.append((options.shaper, error.message))
             last_refusal = error
             continue
-        proofs.append(prove_plan(plan, with_product(spec, machine, options), trials=trials))
+        wanted = with_product(spec, machine, options)
+        proofs.append(prove_plan(plan, wanted, trials=trials, actual=actual))
     if not proofs and last_refusal is not None:
         raise last_refusal
     fastest = {}
@@ -239,7 +245,7 @@ def compare(
             chosen = replace(options, feed=None, shaper=None)
             fastest[interpolation] = fastest_job(
                 Question(
-                    job=job, machine=machine, options=chosen, trials=trials,
+                    job=job, machine=machine, options=chosen, trials=trials, actual=actual,
                     spec=placement_spec(with_product(spec, machine, options)),
                 )
             )  # fmt: skip

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from itertools import product
+from pathlib import Path
 
 import numpy as np
 
@@ -145,6 +146,8 @@ def design_space(machine: Machine, smoothing_s: tuple[float, ...] = ()) -> Space
     ------
     MachineError
         If the machine has no ``[design]`` table, or the table names numbers that it does not have.
+    OptionError
+        If the table changes a number that the settings of ``--par`` replace.
     """
     if machine.design is None:
         raise MachineError(
@@ -201,6 +204,15 @@ def _bounds(machine: Machine, name: str, parameter: DesignParameter) -> tuple[fl
         )
     if any(q.si == 0.0 for q in numbers):
         raise MachineError(f"{label}: a number that is 0 has no factor", place=place)
+    settings = Path(machine.parameters).name
+    for path, quantity in zip(parameter.of, numbers, strict=True):
+        if settings and quantity.note.startswith(f"{settings}:"):
+            # With the settings the file of the redesigned machine would be the old one again.
+            raise OptionError(
+                f"{label} changes {path}, and --par {machine.parameters!r} sets it",
+                place=place,
+                remedy=f"Leave --par out, or take {path} out of the [design] table.",
+            )
     if parameter.factor is not None:
         return parameter.factor
     assert parameter.range is not None

@@ -17,7 +17,6 @@ from threadline.errors import OptionError
 from threadline.files import Recording, TickTable, tick_table
 from threadline.files.formats import Written
 from threadline.machine import Machine
-from threadline.machine.vary import ends_of
 from threadline.motion.path.interpolations import OPTIMAL
 from threadline.proof.option_form import Type
 from threadline.proof.option_table import RECORDED
@@ -122,8 +121,8 @@ class LearnedJob(Summarised):
         """
         if len(self.machines) > 1:
             raise OptionError(
-                "each of the machines at the ends of the tolerances learned a table of its own",
-                remedy="Leave --ends out, and give the machine with --actual.",
+                f"each of the {len(self.machines)} machines learned a table of its own",
+                remedy="Leave --ends and --band out, and give the machine with --actual.",
             )
         return tick_table(self.machines[0][1].plan.commands)
 
@@ -214,15 +213,19 @@ def learned_on_twins(
             remedy="Five repeats are often enough.",
         )
     trials, chosen, actual = words.trials(), words.machine(machine), words.actual()
-    if trials.ends is not None and actual is not None:
-        raise OptionError("--ends and --actual exclude each other", remedy="Give one of them.")
+    several = {"--ends": trials.ends, "--band": trials.band, "--actual": actual}
+    if len(given := [name for name, value in several.items() if value is not None]) > 1:
+        raise OptionError(
+            f"{' and '.join(given)} exclude each other: each names the machines that learn",
+            remedy="Give one of them.",
+        )
     options = words.options()
     spec = with_shaping(words.spec(chosen), chosen, options)
     check_machine(chosen)
     machine_with_radii = with_radii_of(chosen, options)
     run_machines: Sequence[tuple[str, Machine]]
-    if trials.ends is not None:
-        run_machines = ends_of(chosen, trials.ends).machines
+    if others := trials.others(chosen):
+        run_machines = next(iter(others.values())).machines
     else:
         run_machines = [((actual or chosen).name, actual or chosen)]
     job = open_job(file, machine_with_radii, options)
@@ -309,6 +312,30 @@ class LearnedRuns(Summarised):
         }
 
 
+def refuse_simulated(words: Words) -> None:
+    """Refuse options that ask for simulated machines, for learning from recorded runs.
+
+    Raises
+    ------
+    OptionError
+        If one is given.
+    """
+    trials = words.trials()
+    simulated = {
+        "--tolerances": trials.machines and trials.wanted_yield is None,
+        "--yield": trials.wanted_yield,
+        "--ends": trials.ends,
+        "--band": trials.band,
+        "--actual": words.given.get("actual"),
+    }
+    for name, value in simulated.items():
+        if value:
+            raise OptionError(
+                f"--from judges recorded runs, and {name} asks for simulated machines",
+                remedy=f"Leave {name} out.",
+            )
+
+
 def learned_from(
     words: Words,
     file: Path,
@@ -323,16 +350,11 @@ def learned_from(
     Raises
     ------
     OptionError
-        If there is no recording, if one belongs to another job, machine or plan, if a given
-        planning option differs from the recording's, or if the words ask for simulated machines.
+        If there is no recording, if one belongs to another job, machine or plan, or if a given
+        planning option differs from the recording's.
     """
     if not recorded:
         raise OptionError("there is no run to learn from", remedy="Name one with --from.")
-    if words.trials().machines:
-        raise OptionError(
-            "--from judges recorded runs, and --tolerances asks for simulated machines",
-            remedy="Leave --tolerances out.",
-        )
     chosen = words.machine(machine)
     origins = [
         {"interpolation": "default", "feed": "programmed", "tolerance": "0.1 mm", **one.origin}

@@ -17,7 +17,7 @@ from threadline.machine import Machine
 from threadline.machine.model import check_dynamics
 from threadline.machine.pneumatics import TIMES
 from threadline.machine.variants import MOST_CORNERS, Uncertain, corners, drawn, not_drawn
-from threadline.proof.pipeline import check_machine, open_job, plan_job, with_product
+from threadline.proof.pipeline import check_machine, open_job, plan_job, run_by, with_product
 from threadline.proof.request import Words
 from threadline.proof.worst_machine import WithinTolerances, Worst, shares_of
 from threadline.proof.worst_search import WorstSearch
@@ -43,6 +43,8 @@ _OF_PRODUCT = "as in the product file: a yield counts machines, and prove varies
 def planned_yield(words: Words, job: Path, machine: Machine) -> tuple[MachineYield, Spec]:
     """Plan a job for the machine of the file; return the judge of its machines, and the spec.
 
+    With ``actual`` among the words the numbers of that machine vary, under the same commands.
+
     Raises
     ------
     MachineError, JobError, PlanError, OptionError
@@ -52,7 +54,8 @@ def planned_yield(words: Words, job: Path, machine: Machine) -> tuple[MachineYie
     check_machine(machine)
     plan = plan_job(open_job(job, machine, options), machine, options)
     spec = with_product(words.spec(machine), machine, options)
-    return MachineYield(plan, spec), spec
+    actual = words.actual()
+    return MachineYield(plan if actual is None else run_by(plan, actual), spec), spec
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
