@@ -237,12 +237,6 @@ class Raster:
         radius = self._surface.at(self.places)[1][:, 0]
         return float(radius @ (self._of != _BARE).mean(axis=1) / radius.sum())
 
-    def overlap(self) -> float:
-        """Return the mean number of bands on the surface that is covered, if they are counted."""
-        radius = self._surface.at(self.places)[1][:, 0]
-        covered_radius = radius @ (self._of != _BARE).mean(axis=1)
-        return float(radius @ self.count.mean(axis=1) / covered_radius) if covered_radius else 0.0
-
     def gap(self) -> Gap:
         """Return the largest gap.
 
