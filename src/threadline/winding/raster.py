@@ -15,7 +15,6 @@ from threadline.winding.surface import Surface, meridian
 
 _CELLS_PER_BAND = 20.0  # cells in the width of a band, at least
 _MOST_CELLS = 40_000_000
-_MARGIN_BANDS = 2.0  # widths of the band beside the covered part
 _SAME_PASS_BANDS = 3.0  # widths of laid fibre that count as one pass of the band
 _BARE = -2  # in place of an operation, where there is no fibre; -1 is a band of no operation
 
