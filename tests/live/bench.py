@@ -10,11 +10,12 @@ from functools import cache
 
 import numpy as np
 
+from tests.live.kept import Kept
 from threadline.files import Event, Stream, TickBlock, TickTable
 from threadline.live.executor import Executor
 from threadline.live.sim_machine import SimFault
 from threadline.live.sim_process import simulated_of
-from threadline.live.states import Desk, Kept
+from threadline.live.states import Desk
 from threadline.live.wire import Message, decoded
 from threadline.machine import Machine, load_machine
 

@@ -19,6 +19,7 @@ from typing import ParamSpec
 import numpy as np
 import pytest
 
+from tests.live.kept import Kept
 from tests.one_hal import one_hal
 from threadline.files import RunEnd
 from threadline.live import hal_link as hal_process
@@ -34,7 +35,7 @@ from threadline.live.hal_session import (
     remove_left,
     words_to_end,
 )
-from threadline.live.states import Desk, Kept
+from threadline.live.states import Desk
 from threadline.live.wire import Connection
 from threadline.machine import Machine
 

@@ -21,13 +21,14 @@ from typing import Any
 import numpy as np
 
 from tests.live.bench import table_of_counts, there_and_back, winder
+from tests.live.kept import Kept
 from threadline.files import Commands
 from threadline.live import sim_process
 from threadline.live.executor import Executor
 from threadline.live.kinds_run import run_kind_of
 from threadline.live.sim_machine import SimMachine
 from threadline.live.sim_process import simulated_of
-from threadline.live.states import Desk, Hold, Kept
+from threadline.live.states import Desk, Hold
 from threadline.live.wire import Connection, Message
 from threadline.machine import Machine, load_machine
 from threadline.proof.options import Options

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from tests.live.bench import Wire
+from tests.live.kept import Kept
 from threadline.cli.operator_keys import check_continued, continued_run
 from threadline.commands.plan import Plan
 from threadline.errors import LimitError, OptionError, RecordingError, StoreError
@@ -22,7 +23,7 @@ from threadline.live.derived import Rest
 from threadline.live.kinds_run import run_kind_of
 from threadline.live.sim_machine import parse_fault
 from threadline.live.sim_process import group_ticks
-from threadline.live.states import Cause, Desk, Kept
+from threadline.live.states import Cause, Desk
 from threadline.live.store.run_store import RunStore
 from threadline.live.supervised import Conduct, run_commands
 from threadline.machine import load_machine

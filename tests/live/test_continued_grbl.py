@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 from tests.live.grbl_model import GrblModel
+from tests.live.kept import Kept
 from tests.live.test_grbl import MACHINE, patient, settings
 from threadline.cli.main import main
 from threadline.commands.plan import Plan
@@ -22,7 +23,7 @@ from threadline.files.formats import read_recording
 from threadline.live.continuing import continued_by
 from threadline.live.grbl_program import rest_of_program, written_program
 from threadline.live.links import link_of
-from threadline.live.states import Cause, Desk, Kept
+from threadline.live.states import Cause, Desk
 from threadline.live.supervised import Conduct
 from threadline.proof.options import Options
 from threadline.proof.pipeline import open_job, plan_job

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from tests.live.grbl_model import BLOCKS, GrblModel
+from tests.live.kept import Kept
 from threadline.cli.main import main
 from threadline.errors import CommandError, LinkFaultError, OptionError, PlanError
 from threadline.files import RunEnd
@@ -23,7 +24,7 @@ from threadline.live.grbl_settings import units_of
 from threadline.live.grbl_words import Program, program_of, runs_out, status_of
 from threadline.live.links import link_of
 from threadline.live.port import Port
-from threadline.live.states import Cause, Desk, Kept, State
+from threadline.live.states import Cause, Desk, State
 from threadline.machine import Machine, load_machine
 from threadline.proof.options import Options
 from threadline.proof.pipeline import open_job, plan_job

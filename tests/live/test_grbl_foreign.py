@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from tests.live.grbl_model import GrblModel
+from tests.live.kept import Kept
 from tests.live.test_grbl import MACHINE, go_on, meeting, program, ready, settings
 from threadline.errors import CommandError, LinkFaultError
 from threadline.files import RunEnd
@@ -19,7 +20,7 @@ from threadline.live import grbl_run
 from threadline.live.grbl_controller import Controller
 from threadline.live.grbl_words import settings_of, status_of
 from threadline.live.port import Port
-from threadline.live.states import Cause, Desk, Kept, State
+from threadline.live.states import Cause, Desk, State
 
 SOON_S = 60.0  # for a busy computer; without this limit the wait never ends
 

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from tests.live.grbl_model import GrblModel
+from tests.live.kept import Kept
 from tests.live.test_grbl import (
     EXAMPLES,
     MACHINE,
@@ -36,7 +37,7 @@ from threadline.live.grbl_words import in_words, status_of
 from threadline.live.guards import clock_s
 from threadline.live.links import link_of
 from threadline.live.sim_process import SLOWER
-from threadline.live.states import Cause, Desk, Kept, State
+from threadline.live.states import Cause, Desk, State
 from threadline.live.supervised import Conduct
 from threadline.proof.options import Options
 from threadline.proof.pipeline import open_job, plan_job

@@ -25,6 +25,7 @@ from tests.live.hal_bench import (
     told_in,
     unhurried,
 )
+from tests.live.kept import Kept
 from tests.live.kill_bench import child
 from tests.live.test_pace import plan_ticks
 from threadline import machine as machine_package
@@ -37,7 +38,7 @@ from threadline.live.derived import rest_of_rows
 from threadline.live.executor import Executor
 from threadline.live.hal_rows import HalRows
 from threadline.live.hal_session import STREAMER_KEY, HalSession, in_use
-from threadline.live.states import Cause, Desk, Kept, State
+from threadline.live.states import Cause, Desk, State
 from threadline.live.supervised import Conduct, run_commands
 from threadline.live.wire import Connection, Message
 from threadline.machine import Machine, load_machine

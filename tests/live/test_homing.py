@@ -12,11 +12,12 @@ import numpy as np
 import pytest
 
 from tests.live.bench import Bench, Wire, table_of_counts, there_and_back, winder
+from tests.live.kept import Kept
 from tests.live.kill_bench import child
 from threadline.files import RunEnd
 from threadline.live import sim_process
 from threadline.live.executor import Executor
-from threadline.live.states import Cause, Desk, Kept, State
+from threadline.live.states import Cause, Desk, State
 from threadline.live.supervised import run_commands
 from threadline.live.wire import Connection, Message
 

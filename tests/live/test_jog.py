@@ -11,13 +11,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.live.bench import Bench, table_of_counts, there_and_back, winder
+from tests.live.kept import Kept
 from threadline.errors import CommandError
 from threadline.files import RunEnd
 from threadline.live.braking import CountLimits
 from threadline.live.executor import Executor
 from threadline.live.jogging import JogAhead, manual_feed
 from threadline.live.sim_process import REAL_TIME, sim_link
-from threadline.live.states import Cause, Desk, Kept, State
+from threadline.live.states import Cause, Desk, State
 from threadline.live.wire import Message
 
 MM = 1e3 / winder().counts_per_unit[1]

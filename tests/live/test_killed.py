@@ -18,11 +18,12 @@ import numpy as np
 import pytest
 
 from tests.live.bench import table_of_counts, there_and_back, winder
+from tests.live.kept import Kept
 from threadline.files import RunEnd
 from threadline.live import sim_process
 from threadline.live.executor import Executor
 from threadline.live.sim_kinds import SimRows
-from threadline.live.states import Desk, Kept, State
+from threadline.live.states import Desk, State
 from threadline.live.wire import Connection, Message
 
 ROWS = there_and_back(peak=10.0, cruise=600)  # 36 mm/s on X for 3 s each way

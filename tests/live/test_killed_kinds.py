@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 
 from tests.live.grbl_model import BLOCKS, GrblModel
+from tests.live.kept import Kept
 from tests.live.kill_bench import beside, case, child, kill_executor, kill_machine
 from tests.live.test_grbl import MACHINE, START, program, settings
 from threadline.files import RunEnd, played, tick_table
@@ -25,7 +26,7 @@ from threadline.live.grbl_run import GrblRun
 from threadline.live.grbl_words import runs_out
 from threadline.live.port import Port
 from threadline.live.sim_process import group_ticks, simulated_of
-from threadline.live.states import Desk, Kept, State
+from threadline.live.states import Desk, State
 from threadline.twin.stitching import simulate_stitching
 
 DEPTH_S = 0.1

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from tests.live.bench import Bench
+from tests.live.kept import Kept
 from tests.made import read_once
 from threadline.commands.plan import Plan
 from threadline.dynamics.analysis import fastest
@@ -17,7 +18,7 @@ from threadline.errors import LimitError
 from threadline.files import RunEnd, Stream, TickBlock, TickTable, tick_table
 from threadline.live.kinds_run import run_kind_of
 from threadline.live.links import SimLink
-from threadline.live.states import Desk, Hold, Kept
+from threadline.live.states import Desk, Hold
 from threadline.live.supervised import Conduct
 from threadline.machine import Machine, load_machine
 from threadline.proof.options import options_of

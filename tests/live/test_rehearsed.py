@@ -25,7 +25,7 @@ from pathlib import Path
 from numba.core.registry import CPUDispatcher
 from threadline.live.states import Desk
 from threadline.live.executor import Executor
-from threadline.live.states import Kept
+from tests.live.kept import Kept
 from threadline.live.sim_process import serve
 from threadline.live.kinds_run import run_kind_of
 from threadline.live.wire import Connection
@@ -95,6 +95,7 @@ def test_nothing_is_loaded_once_time_counts() -> None:
     """Loading machine code takes a third of a second, and a tick takes at most 10 ms."""
     arguments = [f"{name}={EXAMPLES / job}" for name, job in JOBS.items()]
     done = subprocess.run(
-        [sys.executable, "-c", PROGRAM, *arguments], capture_output=True, check=False, timeout=600
-    )
+        [sys.executable, "-c", PROGRAM, *arguments], cwd=EXAMPLES.parent,
+        capture_output=True, check=False, timeout=600,
+    )  # fmt: skip
     assert done.stdout.decode().splitlines() == [f"{name} True []" for name in JOBS], done.stderr

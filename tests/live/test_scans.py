@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -11,12 +10,11 @@ import numpy as np
 import pytest
 
 from tests.live.bench import Bench
+from tests.live.proved_and_run import check_same_when_run
 from tests.made import read_once
-from threadline.cli.main import main
 from threadline.commands.plan import Plan
 from threadline.errors import CommandError, LimitError
 from threadline.files import Recording, RunEnd, switch_schedule
-from threadline.files.formats import read_recording
 from threadline.live.sim_machine import SimFault, parse_fault
 from threadline.live.states import Cause, Hold, State
 from threadline.machine import Machine, load_machine
@@ -228,17 +226,4 @@ def test_the_command_records_what_it_proves(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """The machine is in a separate process, and the judge is the same."""
-    how = (str(EXAMPLES / "letter-cycle.toml"), "-m", "letter-placer", "--nominal", "--json")
-    how = (*how, "--shaper", "um-zv")
-    verdicts, recordings = [], []
-    for words in (("prove",), ("run", "--speed", "0", "--store", str(tmp_path / "runs"))):
-        file = tmp_path / f"{words[0]}.npz"
-        with pytest.raises(SystemExit) as ended:
-            main([words[0], *how, *words[1:], "--recording", str(file)])
-        assert ended.value.code in (None, 0)
-        verdicts.append(json.loads(capsys.readouterr().out)["criteria"])
-        recordings.append(read_once(read_recording(file)))
-    assert verdicts[0] == verdicts[1]
-    first, second = recordings
-    for channel in first.channels:
-        assert np.array_equal(first.samples(channel.name), second.samples(channel.name))
+    check_same_when_run(tmp_path, capsys, "letter-cycle.toml", "letter-placer", "--shaper", "um-zv")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -11,12 +10,11 @@ import numpy as np
 import pytest
 
 from tests.live.bench import Bench
+from tests.live.proved_and_run import check_same_when_run
 from tests.made import read_once
-from threadline.cli.main import main
 from threadline.commands.plan import Plan
 from threadline.errors import LimitError
 from threadline.files import Event, Recording, RunEnd, StepPlay, StitchBlock, Stream, played
-from threadline.files.formats import read_recording
 from threadline.live.sim_machine import SimFault
 from threadline.live.states import Cause, State
 from threadline.machine import Machine, load_machine
@@ -167,16 +165,4 @@ def test_the_command_records_what_it_proves(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """The machine is in a separate process, and the judge is the same."""
-    how = (str(EXAMPLES / "rosette.dst"), "-m", "schiffli-frame", "--nominal", "--json")
-    verdicts, recordings = [], []
-    for words in (("prove",), ("run", "--speed", "0", "--store", str(tmp_path / "runs"))):
-        file = tmp_path / f"{words[0]}.npz"
-        with pytest.raises(SystemExit) as ended:
-            main([words[0], *how, *words[1:], "--recording", str(file)])
-        assert ended.value.code in (None, 0)
-        verdicts.append(json.loads(capsys.readouterr().out)["criteria"])
-        recordings.append(read_once(read_recording(file)))
-    assert verdicts[0] == verdicts[1]
-    first, second = recordings
-    for channel in first.channels:
-        assert np.array_equal(first.samples(channel.name), second.samples(channel.name))
+    check_same_when_run(tmp_path, capsys, "rosette.dst", "schiffli-frame")

@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 
 from tests.live.grbl_model import GrblModel
+from tests.live.kept import Kept
 from tests.live.test_grbl import MACHINE, START, UNITS, settings
 from tests.panel.bench import Operator, operator, served
 from tests.panel.test_links import grbl, wait
@@ -19,7 +20,7 @@ from threadline.live.grbl_operated import GrblOperated
 from threadline.live.grbl_settings import Mark, compared
 from threadline.live.grbl_words import program_of
 from threadline.live.port import Port
-from threadline.live.states import Desk, Kept, State
+from threadline.live.states import Desk, State
 
 LETTERS = ("X", "Y", "Z", "A")
 RATE_X = 110

@@ -17,6 +17,7 @@ import pytest
 from tests.live.bench import winder
 from tests.live.grbl_model import GrblModel
 from tests.live.hal_bench import awake, hal_alone, unhurried
+from tests.live.kept import Kept
 from tests.live.kill_bench import child
 from tests.live.test_grbl import settings
 from tests.panel.bench import Operator, operator, proven, served
@@ -25,7 +26,7 @@ from threadline.live.grbl_controller import AHEAD_S, Controller
 from threadline.live.grbl_operated import GrblOperated
 from threadline.live.links import at_link
 from threadline.live.port import Port
-from threadline.live.states import Desk, Kept, State
+from threadline.live.states import Desk, State
 from threadline.live.store.run_store import opened
 from threadline.machine import load_machine
 

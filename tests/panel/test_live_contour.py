@@ -10,10 +10,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.live.kept import Kept
 from tests.panel.bench import PROGRAM, operator, proven, served
 from tests.panel.test_operator import started
 from threadline.files import ChannelKind
-from threadline.live.states import Kept
 from threadline.machine import load_machine
 from threadline.panel.live_contour import Also, LiveContour
 from threadline.proof.options import options_of

@@ -122,15 +122,14 @@ def test_an_unanswered_stop_ends_the_recording(sticking, table):
         list(simulate(commands, sticking, answers=[-1.0]))
 
 
-def test_a_wait_halts_until_its_input(sticking):
+def test_a_wait_for_an_input_of_no_part_halts_until_the_machine_resumes(sticking):
     session = Session(sticking)
     wait = Event(tick=10, kind="wait", operation=0, name="door", value=1.0)
     assert len(session.advance(block_of(ROWS, 0, [wait])).samples["X.load"]) == 10
     assert session.halted == wait
-    session.set_input("door", 0.0)
     session.advance(ticks=5)
     assert session.row == 10
-    session.set_input("door", 1.0)
+    session.resume()
     block = session.advance(ticks=3)
     assert session.row == 13 and session.halted is None
     assert [(e.kind, e.tick) for e in block.events] == [("resume", 15)]
@@ -144,8 +143,6 @@ def test_a_wait_for_a_limit_switch_is_answered_by_the_plant(table):
     rows[:18, machine.axis_names.index("X")] = 20
     wait = Event(tick=18, kind="wait", operation=0, name="x_high", value=1.0)
     session = Session(machine, start_counts=start)
-    with pytest.raises(OptionError, match="limit switch"):
-        session.set_input("x_high", 1.0)
     block = session.advance(block_of(rows, 0, [wait]))
     assert session.halted == wait and not block.samples["x_high"].any()
     block = session.advance(ticks=200)

@@ -27,6 +27,11 @@ def _strip(raster: Raster, winding: float, angle: float, step: float = 2e-3) -> 
     raster.lay(gone, gone, gone, np.zeros(1, dtype=bool), np.zeros(1, dtype=np.int64))
 
 
+def _overlap(raster: Raster) -> float:
+    """The mean number of bands where the cylinder is covered."""
+    return float(raster.count.mean()) / raster.covered()
+
+
 @pytest.mark.parametrize("winding", [0.3, 0.9, 1.3, -0.5, math.pi - 0.4])
 def test_strips_cover_their_share(winding: float) -> None:
     """The share of parallel strips is number times width over circumference and cosine."""
@@ -36,7 +41,7 @@ def test_strips_cover_their_share(winding: float) -> None:
         _strip(raster, winding, 2.0 * math.pi * k / strips)
     share = strips * WIDTH / (2.0 * math.pi * RADIUS * abs(math.cos(winding)))
     assert raster.covered() == pytest.approx(share, abs=1e-3)
-    assert raster.overlap() == pytest.approx(1.0, abs=1e-3)
+    assert _overlap(raster) == pytest.approx(1.0, abs=1e-3)
 
 
 def test_crossing_strips_overlap() -> None:
@@ -49,7 +54,7 @@ def test_crossing_strips_overlap() -> None:
     a = strips * WIDTH / (2.0 * math.pi * RADIUS * math.cos(0.6))
     # The part of 200 mm is no whole number of meshes of the net: 0.3 % of it.
     assert raster.covered() == pytest.approx(2.0 * a - a * a, abs=3e-3)
-    assert raster.overlap() == pytest.approx(2.0 * a / (2.0 * a - a * a), abs=1e-2)
+    assert _overlap(raster) == pytest.approx(2.0 * a / (2.0 * a - a * a), abs=1e-2)
 
 
 @pytest.mark.parametrize("winding", [0.3, 0.8, 1.2])

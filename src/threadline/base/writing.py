@@ -67,20 +67,18 @@ def check_output(path: Path) -> None:
 
 
 def check_machine_output(path: Path) -> None:
-    """Refuse a path that is not a name for a machine file, or that must not be overwritten.
+    """Refuse a path that is not a name for a machine file, or that must not be overwritten."""
+    check_machine_name(path)
+    check_output(path)
 
-    Raises
-    ------
-    OptionError
-        If ``path`` does not end in .toml or is the name of a specification, or if ``check_output``
-        refuses it.
-    """
+
+def check_machine_name(path: Path) -> None:
+    """Refuse a path that does not end in .toml or is the name of a specification."""
     if path.suffix != ".toml" or path.name.endswith(".spec.toml"):
         raise OptionError(
             f"{str(path)!r} is no name for a machine file",
             remedy="Give one that ends in .toml and not in .spec.toml.",
         )
-    check_output(path)
 
 
 def is_stdout(path: Path) -> bool:

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 
 import typer
 
-from threadline.base.writing import together
+from threadline.base.writing import check_machine_name, together
 from threadline.cli import option_parameters
 from threadline.cli.arguments import (
     JobsArgument,
@@ -206,11 +206,7 @@ def _check_output(
     if part is not None:
         keep_inputs(output, *inputs)
         return
-    if output.suffix != ".toml" or output.name.endswith(".spec.toml"):
-        raise OptionError(
-            f"{str(output)!r} is no name for a machine file",
-            remedy="Give one that ends in .toml and not in .spec.toml.",
-        )
+    check_machine_name(output)
     for file in (output, spec_file(output)):
         keep_inputs(file, *inputs)
 

@@ -351,8 +351,8 @@ class RootLocus:
     gains
         (k,) factors on the controller's gain.
     poles
-        For each gain, the poles with a magnitude up to ``within_rad_s``; with dead time there are
-        infinitely many further poles.
+        For each gain, the poles with a magnitude of up to twice the larger of the plant's largest
+        pole and five times the crossover; with dead time there are infinitely many further poles.
     now
         Poles at gain 1.
     open_poles, open_zeros
@@ -360,8 +360,6 @@ class RootLocus:
         they end.
     critical
         Gain and frequency in rad/s of every crossing of the imaginary axis, in increasing gain.
-    within_rad_s
-        Largest magnitude of the poles.
     """
 
     gains: FloatArray
@@ -370,12 +368,9 @@ class RootLocus:
     open_poles: ComplexArray
     open_zeros: ComplexArray
     critical: tuple[tuple[float, float], ...]
-    within_rad_s: float
 
 
-def root_locus(
-    loop: Loop, gains: FloatArray | None = None, within_rad_s: float | None = None
-) -> RootLocus:
+def root_locus(loop: Loop, gains: FloatArray | None = None) -> RootLocus:
     """Return the root locus of an axis, with the other loops of its piece closed.
 
     Parameters
@@ -383,9 +378,6 @@ def root_locus(
     gains
         (k,) factors on the controller's gain; by default from 1/1000 to three times the first
         critical factor (10 if there is none), at least to 3.
-    within_rad_s
-        Largest magnitude of the poles; by default twice the larger of the plant's largest pole and
-        five times the crossover.
     """
     margins = loop_margins(loop, "continuous")
     critical = sorted((c.gain_factor, c.omega_rad_s) for c in margins.phase_crossovers)
@@ -395,10 +387,9 @@ def root_locus(
     open_poles = open_loop_poles(loop)
     plant_zeros = zeros_of(loop.axis_plant())
     filter_zeros = np.roots(loop.filters[loop.index].continuous_numerator)
-    if within_rad_s is None:
-        crossing = margins.worst_phase
-        fastest = 0.0 if crossing is None else 5.0 * crossing.omega_rad_s
-        within_rad_s = 2.0 * max(float(np.abs(loop.plant.poles()).max()), fastest, 1.0)
+    crossing = margins.worst_phase
+    fastest = 0.0 if crossing is None else 5.0 * crossing.omega_rad_s
+    within_rad_s = 2.0 * max(float(np.abs(loop.plant.poles()).max()), fastest, 1.0)
     return RootLocus(
         gains=np.asarray(gains),
         poles=tuple(closed_poles(loop, float(g), within_rad_s) for g in gains),
@@ -406,5 +397,4 @@ def root_locus(
         open_poles=open_poles,
         open_zeros=np.concatenate([plant_zeros, filter_zeros]),
         critical=tuple(critical),
-        within_rad_s=within_rad_s,
     )

@@ -83,7 +83,7 @@ class Prescribed:
         return self.rates[:, : len(self.states)]
 
 
-def prescribed(machine: Machine, values: Values | None = None) -> tuple[Prescribed, ...]:
+def prescribed(machine: Machine) -> tuple[Prescribed, ...]:
     """Return the equations of every piece of ``machine`` with a position-commanded drive.
 
     Raises
@@ -92,10 +92,9 @@ def prescribed(machine: Machine, values: Values | None = None) -> tuple[Prescrib
         If such a piece also has a motor with a control loop, or a nonlinear part: play, or friction
         of a body other than the drive's.
     """
-    all_values = Values.of(machine) if values is None else values
     return tuple(
-        _with_prescribed_motors(machine, piece, all_values)
-        for piece in piecewise_linear(machine, all_values)
+        _with_prescribed_motors(machine, piece)
+        for piece in piecewise_linear(machine, Values.of(machine))
         if piece.group.sources
     )
 
@@ -105,7 +104,7 @@ def piece_of(machine: Machine, axis: str) -> Prescribed:
     return next(piece for piece in prescribed(machine) if axis in piece.axes)
 
 
-def _with_prescribed_motors(machine: Machine, piece: PiecewiseLinear, values: Values) -> Prescribed:
+def _with_prescribed_motors(machine: Machine, piece: PiecewiseLinear) -> Prescribed:
     group, n = piece.group, len(piece.states)
     sources = {name: machine.position_sources[name] for name in group.sources}
     if group.drives:
@@ -134,9 +133,7 @@ def _with_prescribed_motors(machine: Machine, piece: PiecewiseLinear, values: Va
     speeds = [piece.states.index(f"{body}'") for body in bodies]
     free_states = [k for k in range(n) if k not in {*positions, *speeds}]
     order = [*free_states, *positions, *speeds]
-    inertia = np.array(
-        [_number(values, f"bodies.{b}.inertia", machine.bodies[b].inertia.si) for b in bodies]
-    )
+    inertia = np.array([machine.bodies[b].inertia.si for b in bodies])
     friction = [machine.bodies[b].friction for b in bodies]
     return Prescribed(
         axes=group.axes,
@@ -148,21 +145,12 @@ def _with_prescribed_motors(machine: Machine, piece: PiecewiseLinear, values: Va
         has_frame=piece.has_frame,
         pulls=inertia[:, None] * rates[np.ix_(speeds, order)],
         inertia=inertia,
-        friction=np.array(
-            [
-                0.0 if q is None else _number(values, f"bodies.{b}.friction", q.si)
-                for b, q in zip(bodies, friction, strict=True)
-            ]
-        ),
+        friction=np.array([0.0 if q is None else q.si for q in friction]),
         belts=tuple(
             Tight(name=name, row=row[order], low=_first(low), high=_first(high))
             for name, row, low, high in belts
         ),
     )
-
-
-def _number(values: Values, path: str, own: float) -> float:
-    return float(values.replaced[path][0]) if path in values.replaced else own
 
 
 def _first(bound: FloatArray | float) -> float:

@@ -9,7 +9,6 @@ import numpy as np
 
 from threadline.base.arrays import FloatArray, Locked, Recent, read_only
 from threadline.dynamics.loop import Loop, axis_loops
-from threadline.dynamics.values import Values
 from threadline.machine import Machine
 
 _STEP_RESPONSES_DECAY = 1e-4
@@ -200,24 +199,17 @@ def _filtered(values: FloatArray, taps: FloatArray) -> FloatArray:
 _RECENT: Recent[Machine, dict[str, Answer]] = Recent(8, lambda a, b: a is b or a == b)
 
 
-def answers_of(machine: Machine, values: Values | None = None) -> dict[str, Answer]:
+def answers_of(machine: Machine) -> dict[str, Answer]:
     """Return the response of every axis of ``machine`` with a controller, by name.
 
     If axes share bodies, the response of an axis holds for references 0 of the other axes.
-
-    Parameters
-    ----------
-    values
-        Numbers that replace the machine's; the first variant is used.
     """
-    if values is not None:
-        return _answers(machine, values)
+
+    def answers() -> dict[str, Answer]:
+        return {axis: _answer(loop) for axis, loop in axis_loops(machine).items()}
+
     # Cached, because every run and every plan of a search needs the same machine's response.
-    return dict(_RECENT.of(machine, lambda: _answers(machine, None)))
-
-
-def _answers(machine: Machine, values: Values | None) -> dict[str, Answer]:
-    return {axis: _answer(loop) for axis, loop in axis_loops(machine, values).items()}
+    return dict(_RECENT.of(machine, answers))
 
 
 def _answer(loop: Loop) -> Answer:

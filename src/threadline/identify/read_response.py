@@ -21,7 +21,6 @@ MAX_POINTS = 200_000
 _FIRST_LINE_REMEDY = "The first line must name frequency_hz, magnitude_db, phase_deg."
 _HEADING = re.compile(r"\s*(?P<name>[^\[\]]*?)\s*(?:\[\s*(?P<unit>[^\[\]]*?)\s*\])?\s*")
 _COMMENT = re.compile(r"#\s*(?P<key>[a-z]+)\s*:\s*(?P<value>.*?)\s*")
-_WORDS = ("axis", "output")
 
 
 @dataclass(frozen=True, slots=True)

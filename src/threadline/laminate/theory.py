@@ -16,9 +16,6 @@ import numpy as np
 
 from threadline.base.arrays import FloatArray
 
-BALANCED = math.atan(math.sqrt(2.0))
-"""Angle, rad, at which helical layers alone carry a closed cylinder's pressure: 54.7356 deg."""
-
 
 @dataclass(frozen=True, slots=True)
 class Ply:
@@ -155,16 +152,6 @@ def ply_of(
         poisson=fibre_volume * poisson + rest * soft_poisson,
         shear=mixed(shear, soft / (2.0 * (1.0 + soft_poisson)), 1.0),
     )
-
-
-def hoop_to_helical(angle: float) -> float:
-    """Return the ratio of hoops to helical layers, by thickness, that a closed cylinder needs.
-
-    It is ``3 cos(angle)^2 - 1`` by netting analysis, with the angle in rad: the fibres alone carry,
-    all with the same stress. A negative ratio says that the helical layers are too weak along the
-    cylinder, and hoop layers cannot help.
-    """
-    return 3.0 * math.cos(angle) ** 2 - 1.0
 
 
 @dataclass(frozen=True, slots=True)

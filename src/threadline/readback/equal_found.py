@@ -21,6 +21,7 @@ from threadline.errors import Place, RecordingError, ThreadlineError
 
 MOST_BYTES = 1 << 30
 """Bytes of a file, and of a part of an archive, beyond which ``equal`` does not read it."""
+_MOST_ROWS = 4000  # of a column of a curve
 _FAULTS = (
     ArithmeticError, AttributeError, EOFError, LookupError, MemoryError, OSError, RuntimeError,
     TypeError, ValueError, csv.Error, struct.error, zipfile.BadZipFile, zlib.error,
@@ -166,16 +167,16 @@ def of_another(what: str, named: object, wanted: str, path: Path) -> RecordingEr
     )
 
 
-def thinned(*columns: FloatArray, most: int = 4000) -> list[FloatArray]:
-    """Return columns with at most ``most`` rows.
+def thinned(*columns: FloatArray) -> list[FloatArray]:
+    """Return columns with at most ``_MOST_ROWS`` rows.
 
     From each group of consecutive rows the row with the largest size in the last column is kept.
     """
     count = len(columns[-1])
-    if count <= most:
+    if count <= _MOST_ROWS:
         return list(columns)
     size = np.abs(columns[-1])
-    edges = np.linspace(0, count, most + 1).astype(np.int64)
+    edges = np.linspace(0, count, _MOST_ROWS + 1).astype(np.int64)
     largest_rows = np.array(
         [begin + int(np.argmax(size[begin:end])) for begin, end in pairwise(edges)],
         dtype=np.int64,

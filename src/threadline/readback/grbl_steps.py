@@ -21,10 +21,10 @@ from pathlib import Path
 
 import numpy as np
 
-from threadline.errors import OptionError, Place, RecordingError
+from threadline.errors import Place, RecordingError
 from threadline.machine import Machine
 from threadline.machine.motion_planner import GrblPlanner
-from threadline.readback.stepped import Steps
+from threadline.readback.stepped import Steps, compile_code
 
 FOLDER = "THREADLINE_GRBL"
 _AXES = "XYZ"
@@ -133,17 +133,8 @@ def _compiled(source: Path, folder: Path, blocks: int) -> Path:
     words = ["cc", *_FLAGS, f"-DBLOCK_BUFFER_SIZE={blocks}", f"-I{folder}", f"-I{source}"]
     words += ["main.c", *(str(source / f"{name}.c") for name in _PARTS), "-lm", "-static"]
     words += ["-Wl,--unresolved-symbols=ignore-all", "-o", "grbl"]
-    compiler_run = subprocess.run(  # noqa: S603
-        words, cwd=folder, capture_output=True, text=True, errors="replace", check=False
-    )
-    if compiler_run.returncode:
-        first = next(
-            (row for row in compiler_run.stderr.splitlines() if "error" in row), "cc fails"
-        )
-        raise OptionError(
-            f"grbl's own code does not compile: {first[:160]}",
-            remedy=f"{FOLDER} names the folder grbl of gnea/grbl 1.1 (docs/equal.md).",
-        )
+    remedy = f"{FOLDER} names the folder grbl of gnea/grbl 1.1 (docs/equal.md)."
+    compile_code(words, "grbl's own code", remedy, folder)
     return folder / "grbl"
 
 

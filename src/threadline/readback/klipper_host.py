@@ -36,7 +36,6 @@ _TIMEOUT_S = 600.0
 _REFUSED = re.compile(
     r'Unknown command:"?([^"\n]*)|^!! (.*)$|Traceback|gcode\.CommandError: (.*)', re.M
 )
-_LIMIT = "{unit}/s"
 
 
 def missing() -> str:

@@ -26,13 +26,13 @@ import numpy as np
 
 from threadline.base.arrays import FloatArray
 from threadline.commands.boards import read_written
-from threadline.errors import OptionError, Place, RecordingError
+from threadline.errors import Place, RecordingError
 from threadline.machine import Machine
 from threadline.machine.motion_planner import MarlinPlanner
 from threadline.motion.path import plan_path, programmed_path
 from threadline.motion.path.interpolations import FIRMWARE
 from threadline.readback.marlin_program import MAIN
-from threadline.readback.stepped import Steps
+from threadline.readback.stepped import Steps, compile_code
 
 FOLDER = "THREADLINE_MARLIN"
 _AXES = "XYZI"
@@ -189,21 +189,8 @@ def compiled(
         *(f"-D{definition}" for definition in defined),
     ]
     words += [*map(str, sources), str(folder / "src/module/motion.cpp"), "-Wl,--gc-sections"]
-    compiler_run = subprocess.run(  # noqa: S603
-        [*words, "-o", str(executable)],
-        capture_output=True,
-        text=True,
-        errors="replace",
-        check=False,
-    )
-    if compiler_run.returncode:
-        first = next(
-            (row for row in compiler_run.stderr.splitlines() if "error" in row), "c++ fails"
-        )
-        raise OptionError(
-            f"Marlin's own planner does not compile: {first[:160]}",
-            remedy=f"{FOLDER} names the folder Marlin of bugfix-2.1.x (docs/equal.md).",
-        )
+    remedy = f"{FOLDER} names the folder Marlin of bugfix-2.1.x (docs/equal.md)."
+    compile_code([*words, "-o", str(executable)], "Marlin's own planner", remedy)
     return executable
 
 

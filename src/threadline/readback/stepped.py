@@ -2,18 +2,38 @@
 
 from __future__ import annotations
 
+import subprocess
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
 from threadline.base.arrays import FloatArray, IntArray
+from threadline.errors import OptionError
 from threadline.motion.timing.types import Trajectory
 from threadline.readback.equal_found import Curve, thinned
 
 _FINE = 200_000  # instants at which a reference is sampled
 _MOST_PLACES = 50_000  # steps whose distance from the path is measured, evenly chosen
 _SEARCH_PIECES = 48  # pieces of the path on which each step is searched
+
+
+def compile_code(words: list[str], code: str, remedy: str, folder: Path | None = None) -> None:
+    """Run a compiler in a folder.
+
+    Raises
+    ------
+    OptionError
+        If the code of a firmware does not compile; it names the first error.
+    """
+    finished = subprocess.run(  # noqa: S603
+        words, cwd=folder, capture_output=True, text=True, errors="replace", check=False
+    )
+    if finished.returncode:
+        lines = finished.stderr.splitlines()
+        first = next((line for line in lines if "error" in line), f"{words[0]} fails")
+        raise OptionError(f"{code} does not compile: {first[:160]}", remedy=remedy)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -17,7 +17,15 @@ from threadline.machine import Machine
 from threadline.report.document import Document, Table, origin_facts
 from threadline.report.publish import write_document
 from threadline.report.searches import NOTHING_TRIED, experiment_figure, experiment_table
-from threadline.report.style import ACTUAL, LIMIT, PLANNED, PROGRAMMED, WORST, figure_style
+from threadline.report.style import (
+    ACTUAL,
+    LIMIT,
+    PLANNED,
+    PROGRAMMED,
+    WORST,
+    figure_style,
+    new_figure,
+)
 from threadline.search.experiments import Campaign
 
 if TYPE_CHECKING:
@@ -235,10 +243,7 @@ def axis_figures(
 
 
 def _bode(a: AxisAnalysis) -> Figure:
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(7.2, 5.4))
-    magnitude_panel, phase_panel = figure.subplots(2, 1, sharex=True)
+    figure, (magnitude_panel, phase_panel) = new_figure((7.2, 5.4), 2, sharex=True)
     for loop in reversed(_models(a)):
         style = PLANNED if loop is a.continuous else ACTUAL
         hertz = loop.grid_rad_s * HERTZ
@@ -266,10 +271,7 @@ def _bode(a: AxisAnalysis) -> Figure:
 
 
 def _plant(a: AxisAnalysis, measured: MeasuredResponse | None) -> Figure:
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(7.2, 5.4))
-    magnitude_panel, phase_panel = figure.subplots(2, 1, sharex=True)
+    figure, (magnitude_panel, phase_panel) = new_figure((7.2, 5.4), 2, sharex=True)
     hertz = np.geomspace(1.0, 200.0, 800)
     magnitude, phase = speed_response(a.loop, 2 * np.pi * hertz)
     magnitude_panel.semilogx(hertz, magnitude, label="model", **ACTUAL)
@@ -289,10 +291,7 @@ def _plant(a: AxisAnalysis, measured: MeasuredResponse | None) -> Figure:
 
 
 def _nyquist(a: AxisAnalysis) -> Figure:
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(5.6, 5.4))
-    axes = figure.subplots()
+    figure, axes = new_figure((5.6, 5.4))
     response = a.sampled.response
     axes.plot(response.real, response.imag, label="frequency rising from 0", **ACTUAL)
     axes.plot(response.real, -response.imag, label="mirrored", **PLANNED)
@@ -312,10 +311,7 @@ def _nyquist(a: AxisAnalysis) -> Figure:
 
 
 def _nichols(a: AxisAnalysis) -> Figure:
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(6.4, 5.0))
-    axes = figure.subplots()
+    figure, axes = new_figure((6.4, 5.0))
     phase = np.degrees(np.unwrap(np.angle(a.sampled.response)))
     for level in (-6.0, -3.0, 0.0, 3.0, 6.0):
         _level_of_closed_loop(axes, level)
@@ -346,11 +342,8 @@ def _level_of_closed_loop(axes: Axes, level_db: float) -> None:
 
 
 def _locus(a: AxisAnalysis) -> Figure:
-    from matplotlib.figure import Figure
-
     locus = root_locus(a.loop)
-    figure = Figure(figsize=(6.4, 5.0))
-    axes = figure.subplots()
+    figure, axes = new_figure((6.4, 5.0))
     all_poles = np.concatenate(locus.poles)
     axes.plot(
         all_poles.real, all_poles.imag, ".", color="0.55", ms=2.0, label="poles as the gain rises"
@@ -377,10 +370,7 @@ _HOLLOW: dict[str, Any] = {"color": "black", "markerfacecolor": "none"}
 
 
 def _steps(a: AxisAnalysis) -> Figure:
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(7.2, 3.4))
-    axes = figure.subplots()
+    figure, axes = new_figure((7.2, 3.4))
     shown_s = 0.0
     for (name, step), style in zip(a.steps.items(), (PLANNED, ACTUAL), strict=False):
         shown_s = max(shown_s, 1.6 * step.settling_s, 4.0 * step.rise_s)

@@ -16,7 +16,7 @@ from threadline.report.document import Document, Printed, Table
 from threadline.report.figures import moves, path_figure, profile_figure
 from threadline.report.motion import shared_facts, summary_facts
 from threadline.report.publish import write_document
-from threadline.report.style import AXES, LIMIT, PROGRAMMED, figure_style
+from threadline.report.style import AXES, LIMIT, PROGRAMMED, figure_style, new_figure
 from threadline.report.traces import Traces, collect
 from threadline.verdict import closing_of_all
 
@@ -70,11 +70,8 @@ def turns_s(traces: Traces) -> list[float]:
 
 def turning_figure(cases: list[Case], axis: str) -> Figure:
     """Draw the actual position of ``axis`` around its outermost point, a panel for each feed."""
-    from matplotlib.figure import Figure
-
     feeds = list(dict.fromkeys(proof.plan.options["feed"] for _, proof, _ in cases))
-    figure = Figure(figsize=(7.2, _tall_in(len(feeds), 3.0)))
-    panels = figure.subplots(len(feeds), 1, squeeze=False)[:, 0]
+    figure, panels = new_figure((7.2, _tall_in(len(feeds), 3.0)), len(feeds))
     point_m, sign = _outermost(cases, axis)
     for panel, feed in zip(panels, feeds, strict=True):
         cases_at_feed = [case for case in cases if case[1].plan.options["feed"] == feed]
@@ -134,11 +131,8 @@ def _limit_m(proof: Proof, axis: str) -> float | None:
 
 def paths_figure(cases: list[Case], first: str, second: str) -> Figure:
     """Draw the path of two linear axes in every case, to scale, a panel for each feed."""
-    from matplotlib.figure import Figure
-
     feeds = list(dict.fromkeys(proof.plan.options["feed"] for _, proof, _ in cases))
-    figure = Figure(figsize=(7.2, _tall_in(len(feeds), 3.2)))
-    panels = figure.subplots(len(feeds), 1, squeeze=False)[:, 0]
+    figure, panels = new_figure((7.2, _tall_in(len(feeds), 3.2)), len(feeds))
     for panel, feed in zip(panels, feeds, strict=True):
         cases_at_feed = [case for case in cases if case[1].plan.options["feed"] == feed]
         for number, (_, proof, traces) in enumerate(cases_at_feed):

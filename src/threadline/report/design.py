@@ -13,7 +13,7 @@ from threadline.base.arrays import FloatArray
 from threadline.machine.numbers import number_at
 from threadline.report.document import Document, Table, origin_facts
 from threadline.report.publish import write_document
-from threadline.report.style import figure_style
+from threadline.report.style import figure_style, new_figure
 from threadline.search.design import DesignResult, candidate_cells
 from threadline.search.design_proof import Candidate, ProvedDesign
 from threadline.verdict import Verdict, closing, percent_used, verdict_rows
@@ -186,13 +186,11 @@ def _region_caption(result: DesignResult) -> str:
 
 def region_figure(result: DesignResult) -> Figure:
     """Draw the region in spec over two parameters, with the design and other machines."""
-    from matplotlib.figure import Figure
     from matplotlib.ticker import FixedLocator, NullLocator
 
     region = result.region
     assert region is not None
-    figure = Figure(figsize=(7.2, 5.6))
-    panel: Axes = figure.subplots()
+    figure, panel = new_figure((7.2, 5.6))
     first_grid, second_grid = np.meshgrid(*region.factors)
     log_ratio = np.log(np.clip(region.found, 1e-2, 1e2))
     filled = panel.contourf(
@@ -286,10 +284,7 @@ def _mark(
 
 def pareto_figure(result: DesignResult) -> Figure:
     """Draw the cost over the used share of the limit."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(7.2, 4.2))
-    panel: Axes = figure.subplots()
+    figure, panel = new_figure((7.2, 4.2))
     cost = [c.cost for c in result.pareto]
     panel.step(
         cost, [100.0 * c.ratio for c in result.pareto], where="post", color="black", lw=1.0,
@@ -340,10 +335,7 @@ def front_rows(result: DesignResult) -> tuple[list[str], list[list[str]]]:
 
 def front_figure(result: DesignResult) -> Figure:
     """Draw the yield over the cost, with its interval; the front is a line."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(7.2, 4.2))
-    panel: Axes = figure.subplots()
+    figure, panel = new_figure((7.2, 4.2))
     for marker, on_front in (("o", True), ("x", False)):
         candidates = [one for one in result.front if one.on_front is on_front]
         shares = np.array([one.share for one in candidates])

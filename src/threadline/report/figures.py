@@ -15,7 +15,7 @@ from threadline.motion.path.types import Timing
 from threadline.motion.timing.optimal.binding import BINDS, KINDS, Binding, binding
 from threadline.proof.options import options_from
 from threadline.proof.pipeline import Proof
-from threadline.report.style import ACTUAL, AXES, LIMIT, PLANNED, PROGRAMMED, WORST
+from threadline.report.style import ACTUAL, AXES, LIMIT, PLANNED, PROGRAMMED, WORST, new_figure
 from threadline.report.traces import Traces, envelope, run_words, worst_result
 from threadline.verdict import Result, Status, Verdict, of_moving_axes, percent_used
 
@@ -73,13 +73,10 @@ def path_figure(proof: Proof, traces: Traces, first: str, second: str) -> Figure
     Two linear axes get a second panel, to scale, around the largest contour error, because an
     over-travel of half a millimetre is invisible in a figure of half a metre.
     """
-    from matplotlib.figure import Figure
-
     same_unit = display(proof, first)[1] == display(proof, second)[1]
     worst = worst_result(proof.verdict, "contour_error")
     zoomed = same_unit and worst is not None and worst.time_s is not None
-    figure = Figure(figsize=(7.2, 6.8 if zoomed else 3.8))
-    panels = figure.subplots(2 if zoomed else 1, 1, squeeze=False)[:, 0]
+    figure, panels = new_figure((7.2, 6.8 if zoomed else 3.8), 2 if zoomed else 1)
     for number, panel in enumerate(panels):
         _draw_path(proof, traces, panel, (first, second), near=number > 0)
         if worst is not None and worst.time_s is not None:
@@ -164,10 +161,7 @@ def _mark_worst_on_path(
 
 def profile_figure(proof: Proof, traces: Traces, axis: str) -> Figure:
     """Draw displacement, velocity and acceleration of one axis, planned and, if known, actual."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=PROFILE_IN)
-    rows = figure.subplots(3, 1, sharex=True)
+    figure, rows = new_figure(PROFILE_IN, 3, sharex=True)
     factor, unit = display(proof, axis)
     limits = proof.plan.machine.axes[axis]
     derivatives = (traces.actual, traces.velocity, traces.acceleration)
@@ -230,11 +224,10 @@ def _limit_is_near(planned: FloatArray, actual: FloatArray | None, bound: float)
 
 def error_figure(proof: Proof, traces: Traces) -> Figure:
     """Draw contour and tracking error along the job, and each measured error with its limit."""
-    from matplotlib.figure import Figure
-
     height = max(2.0, _BAR_IN * len(_limited(proof)))
-    figure = Figure(figsize=(7.2, 6.2 + height))
-    contour, tracking, bars = figure.subplots(3, 1, height_ratios=[2.0, 2.0, height])
+    figure, (contour, tracking, bars) = new_figure(
+        (7.2, 6.2 + height), 3, height_ratios=[2.0, 2.0, height]
+    )
     _contour_along(proof, traces, contour)
     radius = proof.plan.machine.radius_m
     for index, axis in enumerate(proof.plan.motion.trajectory.axes):
@@ -262,13 +255,10 @@ def error_figure(proof: Proof, traces: Traces) -> Figure:
 
 def tension_figure(verdict: Verdict, recording: Recording) -> Figure | None:
     """Draw the tension of the fibre over time, with its worst place; None without a tension."""
-    from matplotlib.figure import Figure
-
     names = [one.name for one in recording.channels if one.kind is ChannelKind.TENSION]
     if not names:
         return None
-    figure = Figure(figsize=(7.2, 3.0))
-    panel: Axes = figure.subplots()
+    figure, panel = new_figure((7.2, 3.0))
     times_s, lowest, highest = envelope(*recording.samples_of(names)[names[0]])
     panel.fill_between(times_s, lowest, highest, step="post", color=ACTUAL["color"], linewidth=1.1)
     worst = worst_result(verdict, "tension_variation")
@@ -287,10 +277,8 @@ def tension_figure(verdict: Verdict, recording: Recording) -> Figure | None:
 
 def criteria_figure(proof: Proof) -> Figure:
     """Draw only the bars of the criteria, for a machine whose load is unknown."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(7.2, max(2.0, _BAR_IN * len(_limited(proof)))))
-    _bars(proof, figure.subplots())
+    figure, panel = new_figure((7.2, max(2.0, _BAR_IN * len(_limited(proof)))))
+    _bars(proof, panel)
     return figure
 
 
@@ -391,12 +379,12 @@ def strips_figure(plan: Plan, found: Binding) -> Figure:
 
     The height of a strip is the used share of the limit; it is black where the limit binds.
     """
-    from matplotlib.figure import Figure
-
     kinds = [kind for kind in KINDS if kind in found.shares]
-    figure = Figure(figsize=(7.2, 2.4 + _STRIP * len(kinds)))
-    rows = figure.subplots(
-        1 + len(kinds), 1, sharex=True, height_ratios=[1.8 / _STRIP, *[1.0] * len(kinds)]
+    figure, rows = new_figure(
+        (7.2, 2.4 + _STRIP * len(kinds)),
+        1 + len(kinds),
+        sharex=True,
+        height_ratios=[1.8 / _STRIP, *[1.0] * len(kinds)],
     )
     trajectory = plan.motion.timed or plan.motion.trajectory
     speed = np.linalg.norm(trajectory(found.time_s, 1) * plan.motion.path.radius_m, axis=1)

@@ -16,7 +16,16 @@ from threadline.motion.laws.measured_rise import CONFIDENCE
 from threadline.motion.shaping import FlexibleMode, residual_m
 from threadline.report.document import Document, Table, origin_facts
 from threadline.report.publish import write_document
-from threadline.report.style import ACTUAL, AXES, LIMIT, PLANNED, PROGRAMMED, WORST, figure_style
+from threadline.report.style import (
+    ACTUAL,
+    AXES,
+    LIMIT,
+    PLANNED,
+    PROGRAMMED,
+    WORST,
+    figure_style,
+    new_figure,
+)
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -125,10 +134,7 @@ def _style(index: int) -> dict[str, Any]:
 
 
 def _laws(laws: Sequence[Law]) -> Figure:
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(7.2, 8.4))
-    rows = figure.subplots(4, 1, sharex=True)
+    figure, rows = new_figure((7.2, 8.4), 4, sharex=True)
     t = np.linspace(0.0, 1.0, _POINTS)
     for derivative, (row, name) in enumerate(zip(rows, _NAMES, strict=True)):
         for index, law in enumerate(laws):
@@ -144,11 +150,8 @@ def _laws(laws: Sequence[Law]) -> Figure:
 
 
 def _residual(plot: ResidualPlot) -> Figure:
-    from matplotlib.figure import Figure
-
     mode = plot.mode
-    figure = Figure(figsize=(7.2, 4.6))
-    axes = figure.subplots()
+    figure, axes = new_figure((7.2, 4.6))
     f = np.geomspace(_SPAN[0] * mode.frequency_hz, _SPAN[1] * mode.frequency_hz, _FREQUENCIES)
     for index, curve in enumerate(plot.curves):
         window_s = np.array([curve.window_s])
@@ -218,14 +221,11 @@ def write_cam(study: CamStudy, tables: Sequence[Table], folder: Path) -> Path:
 
 def rows_figure(study: CamStudy) -> Figure:
     """Draw the rows, their change by fairing, and second differences before and after."""
-    from matplotlib.figure import Figure
-
     cam = study.cam
     faired = study.faired(study.chosen)
     assert faired is not None
     angle = np.degrees(cam.alpha_rad)
-    figure = Figure(figsize=(7.2, 8.0))
-    top, middle, bottom = figure.subplots(3, 1, sharex=True)
+    figure, (top, middle, bottom) = new_figure((7.2, 8.0), 3, sharex=True)
     dense_rad, between_m = _between(study, faired.distances_m)
     top.plot(np.degrees(dense_rad), 1e3 * between_m, label=f"faired: {study.chosen}", **ACTUAL)
     top.plot(angle, 1e3 * cam.h_m, label="measured", **PROGRAMMED)
@@ -274,11 +274,9 @@ def _between(study: CamStudy, faired_m: FloatArray) -> tuple[FloatArray, FloatAr
 
 def law_figure(study: CamStudy) -> Figure:
     """Draw the law of the chosen fairing, and the law of the rows as measured."""
-    from matplotlib.figure import Figure
     from scipy.interpolate import CubicSpline
 
-    figure = Figure(figsize=(7.2, 8.0))
-    panels = figure.subplots(4, 1, sharex=True)
+    figure, panels = new_figure((7.2, 8.0), 4, sharex=True)
     t = np.linspace(0.0, 1.0, _POINTS)
     cam = study.cam
     rise_time = (cam.alpha_rad - study.rise.start_rad) / (study.rise.end_rad - study.rise.start_rad)

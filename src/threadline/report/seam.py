@@ -11,7 +11,7 @@ import numpy as np
 from threadline.base.arrays import FloatArray, IntArray
 from threadline.files import Recording
 from threadline.proof.pipeline import Proof
-from threadline.report.style import WORST
+from threadline.report.style import WORST, new_figure
 from threadline.report.traces import DrawnRun, drawn_run, worst_result
 from threadline.verdict import Criterion, SewnStitches, percent_used, sewn_stitches
 from threadline.verdict.stitch_run import StitchRun, step_rates_hz, window_uses
@@ -123,8 +123,6 @@ def seam_figure(proof: Proof, recording: Recording) -> Figure | None:
     The used share of a stitch is the larger of two ratios to a limit: its distance from the seam,
     and its length error unless the stitch is exempt.
     """
-    from matplotlib.figure import Figure
-
     length, place = _criterion(proof, "stitch_length_error"), _criterion(proof, "contour_error")
     delay_s = 0.0 if length is None else length.options.get("delay", 0.0)
     length_limit = (length.limit if length else None) or _LENGTH
@@ -138,8 +136,7 @@ def seam_figure(proof: Proof, recording: Recording) -> Figure | None:
     share = np.maximum(by_length, by_place)
     judged = exempt == 0
 
-    figure = Figure(figsize=(7.2, 7.4))
-    plan, graph = figure.subplots(2, 1, height_ratios=[3, 2])
+    figure, (plan, graph) = new_figure((7.2, 7.4), 2, height_ratios=[3, 2])
     _draw(plan, points, seam, contour, share, counts, number)
     names = proof.plan.job.axes
     plan.set_xlabel(f"{names[0]} [mm]")

@@ -13,7 +13,7 @@ from threadline.base.arrays import FloatArray
 from threadline.motion.shaping import FlexibleMode, Shaper, residual_vibration
 from threadline.report.document import Document, Table, origin_facts
 from threadline.report.publish import write_document
-from threadline.report.style import ACTUAL, LIMIT, PLANNED, PROGRAMMED, figure_style
+from threadline.report.style import ACTUAL, LIMIT, PLANNED, PROGRAMMED, figure_style, new_figure
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -110,10 +110,7 @@ def write_shaper(
 
 
 def _measured(measured: MeasuredPower) -> Figure:
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(7.2, 6.0))
-    above, below = figure.subplots(2, 1)
+    figure, (above, below) = new_figure((7.2, 6.0), 2)
     top = float(measured.fitted.max())
     above.plot(measured.lines_hz, measured.power / top, label="measured", **PROGRAMMED)
     above.plot(measured.lines_hz, measured.fitted / top, label="fitted mode", **ACTUAL)
@@ -136,10 +133,7 @@ def _measured(measured: MeasuredPower) -> Figure:
 def _sensitivity(
     shaper: Shaper, modes: Sequence[FlexibleMode], tolerances: Sequence[float]
 ) -> Figure:
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(7.2, 4.0))
-    axes = figure.subplots()
+    figure, axes = new_figure((7.2, 4.0))
     lowest_hz = _SPAN[0] * min(m.frequency_hz for m in modes)
     highest_hz = _SPAN[1] * max(m.frequency_hz for m in modes)
     f = np.linspace(lowest_hz, highest_hz, _POINTS)
@@ -173,10 +167,7 @@ def _sensitivity(
 
 
 def _step(shaper: Shaper) -> Figure:
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(7.2, 3.2))
-    axes = figure.subplots()
+    figure, axes = new_figure((7.2, 3.2))
     margin = 0.15 * max(shaper.duration_s, 1e-9)
     edges = np.concatenate([[-margin], shaper.times_s, [shaper.duration_s + margin]])
     axes.stairs(np.concatenate([[0.0], shaper.levels]), edges, baseline=None, label="shaped step")

@@ -28,7 +28,7 @@ from threadline.report.document import (
 from threadline.report.lines import stitch_rows
 from threadline.report.publish import write_document
 from threadline.report.seam import stitch_lines
-from threadline.report.style import ACTUAL, AXES, PLANNED, figure_style
+from threadline.report.style import ACTUAL, AXES, PLANNED, figure_style, new_figure
 from threadline.report.traces import DrawnRun, drawn_run, run_words
 from threadline.verdict import closing, closing_of_all, verdict_rows
 from threadline.verdict.stitch_run import StitchRun
@@ -53,13 +53,11 @@ _SLOWEST = "all as slow as the slowest stitch alone"
 def design_figure(proof: Proof, recording: Recording) -> Figure:
     """Draw the design as sewn in a run; each stitch is shaded by its used share of the limit."""
     from matplotlib.collections import LineCollection
-    from matplotlib.figure import Figure
 
     plan = proof.plan
     run = StitchRun(recording, plan)
     shares_used, limit_text = _shares_used(proof, run)
-    figure = Figure(figsize=(7.2, 7.0))
-    panel = figure.subplots()
+    figure, panel = new_figure((7.2, 7.0))
     places_mm = np.vstack((np.array(plan.job.start), plan.stitched.places_m)) * 1e3
     segments = np.stack((places_mm[:-1], places_mm[1:]), axis=1)
     travel = plan.stitched.turns.moves.needle == 0
@@ -108,12 +106,10 @@ def threads_figure(plan: Plan) -> Figure:
     A block whose colour is not in the file gets a grey that no other block has.
     """
     from matplotlib.collections import LineCollection
-    from matplotlib.figure import Figure
     from matplotlib.patheffects import withStroke
 
     stitched = plan.stitched
-    figure = Figure(figsize=(7.2, 7.0))
-    panel = figure.subplots()
+    figure, panel = new_figure((7.2, 7.0))
     panel.set_facecolor(_CLOTH)
     panel.grid(visible=False)
     places_mm = stitched.places_m * 1e3
@@ -176,13 +172,10 @@ def _shares_used(proof: Proof, run: StitchRun) -> tuple[FloatArray, str]:
 
 def moves_figure(plan: Plan) -> Figure:
     """Draw the histogram of the lengths of the moves."""
-    from matplotlib.figure import Figure
-
     stitched = plan.stitched
     unit_mm = stitched.pace.tables.unit.si * 1e3
     units = np.abs(stitched.turns.moves.units).max(axis=1)[stitched.frame_moves == 1]
-    figure = Figure(figsize=(7.2, 3.0))
-    panel = figure.subplots()
+    figure, panel = new_figure((7.2, 3.0))
     counts = np.bincount(units)
     panel.bar(
         unit_mm * np.arange(len(counts)), counts, width=0.9 * unit_mm, color="#0072B2",
@@ -197,11 +190,8 @@ def moves_figure(plan: Plan) -> Figure:
 
 def pace_figure(plan: Plan) -> Figure:
     """Draw speed and time along the design."""
-    from matplotlib.figure import Figure
-
     stitched = plan.stitched
-    figure = Figure(figsize=(7.2, 4.6))
-    speed_panel, time_panel = figure.subplots(2, 1, sharex=True)
+    figure, (speed_panel, time_panel) = new_figure((7.2, 4.6), 2, sharex=True)
     number = np.arange(1, len(stitched.turns) + 1)
     speed_panel.plot(number, _MINUTE / stitched.turns.turn_s, drawstyle="steps-mid", **ACTUAL)
     slowest_s = stitched.slowest_s / len(number)
@@ -218,10 +208,7 @@ def pace_figure(plan: Plan) -> Figure:
 
 def speeds_figure(plans: Sequence[Plan]) -> Figure:
     """Draw the speed along the design for each plan."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(7.2, 3.6))
-    panel = figure.subplots()
+    figure, panel = new_figure((7.2, 3.6))
     for plan, style in zip(plans, cycle(AXES), strict=False):
         turns = plan.stitched.turns
         number = np.arange(1, len(turns) + 1)

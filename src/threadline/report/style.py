@@ -65,6 +65,25 @@ def figure_style() -> Iterator[None]:
         yield
 
 
+def new_figure(
+    size_in: tuple[float, float], rows: int = 0, columns: int = 1, **layout: Any
+) -> tuple[Figure, Any]:
+    """Return a figure, and its panel; with ``rows``, an array of its panels, row by row.
+
+    Parameters
+    ----------
+    size_in
+        Width and height, inches.
+    layout
+        Options of ``Figure.subplots``.
+    """
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=size_in)
+    panels = figure.subplots(rows or 1, columns, squeeze=False, **layout).ravel()
+    return figure, panels if rows else panels[0]
+
+
 HEAD = "head"
 """Identifier of the lines above a figure in its SVG."""
 _HEAD_SIZE = 8.0  # points

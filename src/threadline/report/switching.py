@@ -27,7 +27,7 @@ from threadline.report.document import (
 )
 from threadline.report.lines import creep_rows, production, shaping_rows
 from threadline.report.publish import write_document
-from threadline.report.style import figure_style
+from threadline.report.style import figure_style, new_figure
 from threadline.report.switching_figures import (
     cycle_figure,
     frame_figure,
@@ -57,12 +57,9 @@ def break_figure(
 
     The first panel also shows the simulated points ``twin``, times in s and amplitudes in m.
     """
-    from matplotlib.figure import Figure
-
     columns = 3
     rows = -(-len(sweeps) // columns)
-    figure = Figure(figsize=(7.2, 2.0 * rows))
-    panels = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False).ravel()
+    figure, panels = new_figure((7.2, 2.0 * rows), rows, columns, sharex=True, sharey=True)
     worst = next(float(s.ringing_m.max()) for s in sweeps if s.name == "none") * MICRO
     for panel, sweep in zip(panels, sweeps, strict=False):
         panel.plot(sweep.times_s * 1e3, sweep.ringing_m * MICRO, color="#0072B2", linewidth=1.2)
@@ -182,11 +179,8 @@ def _bars(places: Sequence[NetPlace], then: str) -> list[_Bar]:
 
 
 def _page(rows: Sequence[_Row], begins: str) -> Figure:
-    from matplotlib.figure import Figure
-
     height = _TOP + sum(row.above + row.below for row in rows)
-    figure = Figure(figsize=(7.2, _INCH * height))
-    panel = figure.subplots()
+    figure, panel = new_figure((7.2, _INCH * height))
     _place(panel, 0, 0, "0", "white")
     panel.text(0.25, 0.0, f"every output off; {begins}", va="center", fontsize=_PLAIN)
     row_height = 0.4 - _TOP

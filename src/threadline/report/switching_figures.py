@@ -12,7 +12,7 @@ from threadline.base.arrays import FloatArray
 from threadline.commands.plan import Plan
 from threadline.files import Recording
 from threadline.proof.pipeline import Proof
-from threadline.report.style import ACTUAL, AXES, LIMIT, PLANNED
+from threadline.report.style import ACTUAL, AXES, LIMIT, PLANNED, new_figure
 from threadline.report.traces import extremes
 from threadline.verdict.switch_run import SwitchRun
 
@@ -61,20 +61,16 @@ def _thinned(time_s: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatA
 
 def cycle_figure(proof: Proof, recording: Recording) -> Figure:
     """Draw the pistons and every output over the cycle of a run."""
-    from matplotlib.figure import Figure
-
     run = SwitchRun(recording, proof.plan)
     axes = proof.plan.job.axes
     outputs = proof.plan.scheduled.commands.outputs
     height = 1.3 * len(axes) + 0.19 * len(outputs) + 0.8
-    figure = Figure(figsize=(7.2, height))
-    panels = figure.subplots(
+    figure, panels = new_figure(
+        (7.2, height),
         len(axes) + 1,
-        1,
         sharex=True,
-        squeeze=False,
         height_ratios=[*(1.3 for _ in axes), 0.19 * len(outputs)],
-    ).ravel()
+    )
     loads = recording.samples_of(f"{axis}.load" for axis in axes)
     for panel, axis in zip(panels, axes, strict=False):
         time_s, values = _thinned(*loads[f"{axis}.load"])
@@ -100,12 +96,9 @@ def cycle_figure(proof: Proof, recording: Recording) -> Figure:
 
 def frame_figure(proof: Proof, recording: Recording, unshaped: Proof | None) -> Figure:
     """Draw the motion of the frame over the cycle of a run, shaped and unshaped."""
-    from matplotlib.figure import Figure
-
     run = SwitchRun(recording, proof.plan)
     axes = proof.plan.job.axes
-    figure = Figure(figsize=(7.2, 1.9 * len(axes) + 0.6))
-    panels = figure.subplots(len(axes), 1, sharex=True, squeeze=False).ravel()
+    figure, panels = new_figure((7.2, 1.9 * len(axes) + 0.6), len(axes), sharex=True)
     frames = [f"{axis}.frame" for axis in axes]
     curves = [(recording.samples_of(frames), ACTUAL, shaper_words(proof.plan))]
     if unshaped is not None:
@@ -123,11 +116,8 @@ def frame_figure(proof: Proof, recording: Recording, unshaped: Proof | None) -> 
 
 def residual_figure(proof: Proof, unshaped: Proof | None) -> Figure:
     """Draw the residual vibration after each step, with and without shaping, and its limit."""
-    from matplotlib.figure import Figure
-
     axes = proof.plan.job.axes
-    figure = Figure(figsize=(7.2, 2.1 * len(axes) + 0.4))
-    panels = figure.subplots(len(axes), 1, sharex=True, squeeze=False).ravel()
+    figure, panels = new_figure((7.2, 2.1 * len(axes) + 0.4), len(axes), sharex=True)
     for panel, axis in zip(panels, axes, strict=True):
         cases = [(proof, "#0072B2", "", shaper_words(proof.plan))]
         if unshaped is not None:
@@ -164,11 +154,8 @@ def _legend_below(figure: Figure, panel: Axes) -> None:
 
 def residuals_figure(proofs: Sequence[Proof]) -> Figure:
     """Draw the residual vibration after each step under every shaper, and its limit."""
-    from matplotlib.figure import Figure
-
     axes = proofs[0].plan.job.axes
-    figure = Figure(figsize=(7.2, 2.1 * len(axes) + 0.6))
-    panels = figure.subplots(len(axes), 1, sharex=True, squeeze=False).ravel()
+    figure, panels = new_figure((7.2, 2.1 * len(axes) + 0.6), len(axes), sharex=True)
     for panel, axis in zip(panels, axes, strict=True):
         for proof, line_style, marker in zip(proofs, cycle(AXES), cycle("osvDX^"), strict=False):
             rows = [

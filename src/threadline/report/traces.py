@@ -131,6 +131,7 @@ def extremes(columns: FloatArray, stretch: IntArray) -> NDArray[np.bool_]:
 
 MAX_SAMPLES = 20_000
 MAX_VERTICES = 2_000
+_STRETCHES = 2_000
 AROUND_SAMPLES = 2_000
 """Number of samples on both sides of a marked place that are always drawn."""
 AROUND_OPERATIONS = 50
@@ -341,17 +342,14 @@ def _vertices(plan: Plan, around: Sequence[int]) -> FloatArray:
 
 
 def contour_along(
-    recording: Recording, plan: Plan, lag_s: float, stretches: int = 2000
+    recording: Recording, plan: Plan, lag_s: float
 ) -> tuple[FloatArray, FloatArray] | None:
     """Return times, s, and distances of the tool from the programmed path, m, both (n,).
 
+    There is the largest distance of each of ``_STRETCHES`` time intervals, and its time.
+
     Distances are measured from samples to chords, as in ``contour_error`` and with the same lag;
     missed programmed points are not included. The recording is read once, in bounded memory.
-
-    Parameters
-    ----------
-    stretches
-        Number of time intervals; each gives its largest distance, at the time of that distance.
 
     Returns
     -------
@@ -366,14 +364,14 @@ def contour_along(
     if any(find_first(recording, actual, axis) is None for axis in axes):
         return None
     setting = setting_of(plan, recording, lag_s)
-    width_s = max(plan.motion.trajectory.duration_s + lag_s, setting.interval_s) / stretches
-    largest2_m2 = np.full(stretches + 1, -1.0)
-    time_s = np.zeros(stretches + 1)
+    width_s = max(plan.motion.trajectory.duration_s + lag_s, setting.interval_s) / _STRETCHES
+    largest2_m2 = np.full(_STRETCHES + 1, -1.0)
+    time_s = np.zeros(_STRETCHES + 1)
     window = PathWindow(plan.motion.programmed)
     lag, resolution = setting.lag_samples, setting.resolution
     for block in judged_blocks(recording, axes, lag, window, resolution):
         distances2_m2 = block.nearest_on_surface[0][:, 0]
-        stretch = np.minimum((block.due_s / width_s).astype(np.int64), stretches)
+        stretch = np.minimum((block.due_s / width_s).astype(np.int64), _STRETCHES)
         # The largest distance of each interval is assigned last, and so it stays.
         order = np.argsort(distances2_m2, kind="stable")
         order = order[distances2_m2[order] > largest2_m2[stretch[order]]]

@@ -13,7 +13,7 @@ from threadline.base.arrays import FloatArray, IntArray
 from threadline.proof.pipeline import Proof
 from threadline.report.document import Table
 from threadline.report.solid import wound_glb
-from threadline.report.style import ACTUAL, LIMIT, PLANNED, WORST
+from threadline.report.style import ACTUAL, LIMIT, PLANNED, WORST, new_figure
 from threadline.verdict.causes import Causes, causes_of
 from threadline.verdict.pattern import middle_of
 from threadline.verdict.replayed import (
@@ -190,10 +190,7 @@ def _shade(panel: Axes, job: WoundJob, raster: Raster, count: NDArray[np.uint16]
 def _pattern(
     job: WoundJob, raster: Raster, shown: Sequence[NDArray[np.uint16]], circuits: Sequence[int]
 ) -> Figure:
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(7.2, 3.2))
-    panels = figure.subplots(1, len(shown), sharey=True, squeeze=False)[0]
+    figure, panels = new_figure((7.2, 3.2), 1, len(shown), sharey=True)
     for panel, count, number in zip(panels, shown, circuits, strict=True):
         _shade(panel, job, raster, count)
         panel.set_title("After 1 circuit" if number == 1 else f"After {number} circuits")
@@ -202,11 +199,9 @@ def _pattern(
 
 
 def _map(proof: Proof, job: WoundJob, laid: _Laid, raster: Raster) -> Figure:
-    from matplotlib.figure import Figure
     from matplotlib.ticker import MaxNLocator
 
-    figure = Figure(figsize=(7.2, 4.6))
-    panel = figure.subplots()
+    figure, panel = new_figure((7.2, 4.6))
     x = 1e3 * job.surface.at(raster.places)[0][:, 0]
     mesh = _shade(panel, job, raster, _thinned(raster))
     bar = figure.colorbar(mesh, ax=panel, label="bands on each other", extend="max")
@@ -254,10 +249,7 @@ def _mark(proof: Proof, job: WoundJob, laid: _Laid, panel: Axes) -> None:
 
 
 def _causes(causes: Causes) -> Figure:
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(7.2, 5.2))
-    upper, lower = figure.subplots(2, 1, height_ratios=(1.0, 1.6))
+    figure, (upper, lower) = new_figure((7.2, 5.2), 2, height_ratios=(1.0, 1.6))
     gaps = 1e3 * causes.laid.gaps_m
     upper.step(np.arange(len(gaps)), gaps, where="mid", **ACTUAL)
     upper.axhline(0.0, color="0.5", linewidth=0.8)
@@ -285,10 +277,7 @@ def _causes(causes: Causes) -> Figure:
 
 
 def _along(job: WoundJob, laid: _Laid, raster: Raster) -> Figure:
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(7.2, 4.6))
-    upper, lower = figure.subplots(2, 1, sharex=True)
+    figure, (upper, lower) = new_figure((7.2, 4.6), 2, sharex=True)
     judged = np.flatnonzero((laid.known > 0.0) & np.isfinite(laid.steer))
     x = 1e3 * job.surface.at(laid.u[judged])[0][:, 0]
     places = 1e3 * job.surface.at(raster.places)[0][:, 0]

@@ -16,7 +16,7 @@ from threadline.base.arrays import FloatArray
 from threadline.base.reading import note_input
 from threadline.base.summary import Summarised, Summary
 from threadline.base.wording import ascii_only, toml_string
-from threadline.base.writing import check_output
+from threadline.base.writing import check_machine_name, check_output
 from threadline.dynamics.analysis import AxisAnalysis, analyse
 from threadline.dynamics.contouring import cross_coupled
 from threadline.dynamics.state_designs import (
@@ -195,11 +195,7 @@ def _check(machine: Machine, wanted: Wanted, file: Path) -> None:
             f"machine {machine.name!r} has no control loops, so there is no controller to design",
             remedy="Name a machine with controllers and axes.",
         )
-    if file.suffix != ".toml" or file.name.endswith(".spec.toml"):
-        raise OptionError(
-            f"{str(file)!r} is no name for a machine file",
-            remedy="Give one that ends in .toml and not in .spec.toml.",
-        )
+    check_machine_name(file)
     note_input(Path(machine.file))
     check_output(file)
 

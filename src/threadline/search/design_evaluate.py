@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -356,21 +356,14 @@ class Evaluator:
             numbers = {k: float(v[0]) for k, v in self.space.numbers(point[None]).items()}
             numbers |= self.space.slower(self.space.levels[level_index])
             items.append(SingleItem(numbers=numbers, beyond=beyond))
-        results = list(answers(proofs, items))
-        self.simulated += sum(one.simulated for one in results)
-        return Tried(
-            points=points,
-            level=np.asarray(level, dtype=np.int64),
-            ratio=np.array([one.worst for one in results]),
-            nominal=np.array([one.first for one in results]),
-            delay=np.zeros(len(points), dtype=np.int64),
-            binding=tuple(one.binding for one in results),
-        )
+        return self._tried_apart(points, level, list(answers(proofs, items)))
 
     def _ahead(self, points: FloatArray, level: IntArray, beyond: float) -> Tried:
         """Plan every candidate through its own inverse, then judge the plan."""
         items = [(point, int(level[k]), beyond) for k, point in enumerate(points)]
-        results = list(answers(_Ahead(self), items))
+        return self._tried_apart(points, level, list(answers(_Ahead(self), items)))
+
+    def _tried_apart(self, points: FloatArray, level: IntArray, results: Sequence[Used]) -> Tried:
         self.simulated += sum(one.simulated for one in results)
         return Tried(
             points=points,

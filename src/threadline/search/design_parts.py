@@ -11,7 +11,6 @@ from __future__ import annotations
 import base64
 import hashlib
 import math
-import os
 import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -24,15 +23,14 @@ import numpy as np
 from threadline import __version__
 from threadline.base.arrays import FloatArray, IntArray
 from threadline.base.reading import refuse_special
-from threadline.base.writing import staged_file
 from threadline.errors import OptionError
 from threadline.proof.proof_hash import spec_sha256
 from threadline.search.design import Redesign
 from threadline.search.design_evaluate import Tried
 from threadline.search.design_front import CandidateYield
 from threadline.search.design_searches import MOST_SEARCHES, Search
-from threadline.search.yield_parts import Part, in_order
-from threadline.search.yield_state import MOST_LINE, NOT_AS_WRITTEN, Lines, line_of
+from threadline.search.yield_parts import Part, differing, in_order, part_in, said_in, write_lines
+from threadline.search.yield_state import MOST_LINE, NOT_AS_WRITTEN, Lines
 
 FORMAT = "threadline design part 1"
 _AGAIN = "Make that part again."
@@ -71,21 +69,17 @@ class DesignRecord:
         OptionError
             If they differ.
         """
-        names = dict.fromkeys([*other.identity, *self.identity])
-        differing = [name for name in names if self.identity.get(name) != other.identity.get(name)]
         counts = {
             "number of searches": (self.searches, other.searches),
             "number of parts": (self.part.count, other.part.count),
             "number of machines of --front": (self.front, other.front),
             "choice of --corners": (self.corners, other.corners),
         }
-        differing += [
-            name for name, (own_count, other_count) in counts.items() if own_count != other_count
-        ]
-        if differing:
+        names = differing(self.identity, other.identity, counts)
+        if names:
             raise OptionError(
                 f"{str(path)!r} belongs to another redesign than {than}: another "
-                f"{', '.join(differing)}",
+                f"{', '.join(names)}",
                 remedy="Give parts of one redesign, made and merged with the same versions and "
                 "files.",
             )
@@ -156,12 +150,7 @@ def write_design_part(path: Path, record: DesignRecord, searches: Sequence[Searc
         "searches": record.searches,
         "part": [record.part.number, record.part.count],
     }
-    with staged_file(path) as file:
-        file.write(line_of(head))
-        for one in searches:
-            file.write(line_of(_content(one)))
-        file.flush()
-        os.fsync(file.fileno())
+    write_lines(path, head, map(_content, searches))
 
 
 def read_design_parts(paths: Sequence[Path]) -> list[DesignPart]:
@@ -212,32 +201,19 @@ def read_design_part(path: Path) -> DesignPart:
 
 
 def _record(content: Mapping[str, Any], lines: Lines) -> DesignRecord:
-    if content.get("format") != FORMAT:
-        lines.refuse("it is not a part of a redesign of this version", 1)
-    identity, words, part = (content.get(name) for name in ("identity", "words", "part"))
-    if not isinstance(identity, dict) or not all(isinstance(v, str) for v in identity.values()):
-        lines.refuse("it was changed", 1)
-    if not isinstance(words, dict) or not all(
-        isinstance(value, str | int | float | bool) for value in words.values()
-    ):
-        lines.refuse("it was changed", 1)
+    identity, words = said_in(content, FORMAT, lines)
     corners, front, searches = (content.get(name) for name in ("corners", "front", "searches"))
     if type(corners) is not bool or type(front) is not int or front < 0:
         lines.refuse("it was changed", 1)
     if type(searches) is not int or not 1 <= searches <= MOST_SEARCHES:
         lines.refuse(f"its number of searches is not from 1 to {MOST_SEARCHES}", 1)
-    if not isinstance(part, list) or len(part) != 2 or any(type(one) is not int for one in part):
-        lines.refuse("it was changed", 1)
-    number, count = part
-    if not 1 <= number <= count <= searches:
-        lines.refuse(f"there is no part {number}/{count} of {searches} searches", 1)
     return DesignRecord(
         identity=identity,
         words=words,
         corners=corners,
         front=front,
         searches=searches,
-        part=Part(number, count),
+        part=part_in(content, searches, "searches", lines),
     )
 
 

@@ -421,6 +421,7 @@ def _proposals(
 
 
 _FEW = 3  # largest number of parameters: with more, moves along the edge find dearer designs
+_APART = 0.05  # width of an interval of the ratio in a front
 _WITHIN = (0.0005, 0.002, 0.005)  # shares of the target that a crossing should leave free
 
 
@@ -462,21 +463,21 @@ def _along_edge(
     return np.concatenate([crossing, along]), levels
 
 
-def pareto(space: Space, tried: Tried, most: float, apart: float = 0.05) -> IntArray:
+def pareto(space: Space, tried: Tried, most: float) -> IntArray:
     """Return the candidates that no other beats in both cost and ratio, the cheapest first.
+
+    Each interval of the ratio, ``_APART`` wide, keeps its cheapest candidate.
 
     Parameters
     ----------
     most
         Largest ratio of interest.
-    apart
-        Width of intervals of the ratio; each interval keeps its cheapest candidate.
     """
     cost = space.cost(tried.points)
     order = np.lexsort((tried.ratio, cost))
     front, best_ratio = [], most
     for index in order.tolist():
-        if np.ceil(tried.ratio[index] / apart) < np.ceil(best_ratio / apart):
+        if np.ceil(tried.ratio[index] / _APART) < np.ceil(best_ratio / _APART):
             front.append(index)
             best_ratio = tried.ratio[index]
     return np.array(front, dtype=np.int64)

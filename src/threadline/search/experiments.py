@@ -22,6 +22,7 @@ from threadline.machine import Machine
 from threadline.twin import simulate
 
 _PERIODS = 12
+_CONSTANT_RUN_S = 0.6  # length of a run at constant speed
 _SHORTEST_S = 0.25
 _SETTLE_SHARE = 0.35
 _SATURATED = 1.0 - 1e-6
@@ -208,7 +209,7 @@ def dead_time_s(sweep: Sweep, without: ComplexArray) -> float:
     return -float(omega @ phase_left_rad) / float(omega @ omega)
 
 
-def constant_speed_gain(machine: Machine, axis: str, speed_si: float, run_s: float = 0.6) -> float:
+def constant_speed_gain(machine: Machine, axis: str, speed_si: float) -> float:
     """Return speed over mean voltage at constant speed, axis units per second per volt.
 
     Raises
@@ -221,7 +222,7 @@ def constant_speed_gain(machine: Machine, axis: str, speed_si: float, run_s: flo
         raise OptionError("a gain needs a speed other than 0")
     tick_s = float(machine.tick_clock.period_s)
     counts_per_tick = speed_si * machine.axes[axis].counts.si * tick_s
-    ticks = int(np.ceil(run_s / tick_s))
+    ticks = int(np.ceil(_CONSTANT_RUN_S / tick_s))
     position = np.rint(counts_per_tick * np.arange(1, ticks + 1)).astype(np.int64)
     recording = _simulate(machine, index, position)
     (_, volts), (times, measured) = _channels(recording, axis, "voltage", "measured")

@@ -12,6 +12,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 
@@ -309,34 +310,24 @@ def usual_controller(machine: Machine) -> ControllerKind:
     return "pd"
 
 
-def parse_controller(text: str) -> ControllerKind:
-    """Return a kind of controller.
+NameT = TypeVar("NameT", bound=str)
 
-    Raises
-    ------
-    OptionError
-        If there is none of that name.
-    """
-    for kind in CONTROLLERS:
-        if text == kind:
-            return kind
-    raise OptionError(
-        f"there is no controller {text[:20]!r}", remedy=f"There are {', '.join(CONTROLLERS)}."
-    )
+
+def parse_controller(text: str) -> ControllerKind:
+    """Return a kind of controller; raise OptionError if there is none of that name."""
+    return _named(text, CONTROLLERS, "controller")
 
 
 def parse_rule(text: str) -> Rule:
-    """Return a rule.
+    """Return a rule; raise OptionError if there is none of that name."""
+    return _named(text, RULES, "rule")
 
-    Raises
-    ------
-    OptionError
-        If there is none of that name.
-    """
-    for rule in RULES:
-        if text == rule:
-            return rule
-    raise OptionError(f"there is no rule {text[:20]!r}", remedy=f"There are {', '.join(RULES)}.")
+
+def _named(text: str, known: Sequence[NameT], what: str) -> NameT:
+    for one in known:
+        if text == one:
+            return one
+    raise OptionError(f"there is no {what} {text[:20]!r}", remedy=f"There are {', '.join(known)}.")
 
 
 def tuned_toml(tuning: Tuning, kind: ControllerKind, rule: Rule, folder: Path) -> str:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol, TypeVar
@@ -140,21 +140,12 @@ class Record:
 
     def differences(self, other: Record) -> list[str]:
         """Return the names of the entries that differ from another part's."""
-        names = dict.fromkeys([*other.identity, *self.identity])
-        differing = [name for name in names if self.identity.get(name) != other.identity.get(name)]
         counts = {
             "seed": (self.seed, other.seed),
             "number of machines": (self.variants, other.variants),
             "number of parts": (self.part.count, other.part.count),
         }
-        return [
-            *differing,
-            *(
-                name
-                for name, (own_count, other_count) in counts.items()
-                if own_count != other_count
-            ),
-        ]
+        return differing(self.identity, other.identity, counts)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -209,13 +200,57 @@ def write_part(path: Path, record: Record, found: EachRun) -> None:
         "part": [record.part.number, record.part.count],
     }
     first = record.part.machines(record.variants).start
+    batches = (
+        content_of_runs(
+            found.taken(np.arange(index, min(index + AT_ONCE, found.runs))), first + index
+        )
+        for index in range(0, found.runs, AT_ONCE)
+    )
+    write_lines(path, head, batches)
+
+
+def write_lines(path: Path, head: Mapping[str, Any], contents: Iterable[Mapping[str, Any]]) -> None:
+    """Write the first line of a part, and a line for each of its results."""
     with staged_file(path) as file:
-        file.write(line_of(head))
-        for first_index in range(0, found.runs, AT_ONCE):
-            batch = found.taken(np.arange(first_index, min(first_index + AT_ONCE, found.runs)))
-            file.write(line_of(content_of_runs(batch, first + first_index)))
+        for content in (head, *contents):
+            file.write(line_of(content))
         file.flush()
         os.fsync(file.fileno())
+
+
+def differing(
+    own: Mapping[str, str], other: Mapping[str, str], counts: Mapping[str, tuple[int, int]]
+) -> list[str]:
+    """Return the names of the identities, and of the pairs of counts, that differ."""
+    names = [name for name in dict.fromkeys([*other, *own]) if own.get(name) != other.get(name)]
+    return [*names, *(name for name, (one, another) in counts.items() if one != another)]
+
+
+def said_in(
+    content: Mapping[str, Any], form: str, lines: Lines
+) -> tuple[dict[str, str], dict[str, str | int | float | bool]]:
+    """Return identity and words of the first line of a part, whose format must be ``form``."""
+    if content.get("format") != form:
+        lines.refuse(f"it is not {lines.subject} of this version", 1)
+    identity, words = content.get("identity"), content.get("words")
+    if not isinstance(identity, dict) or not all(isinstance(v, str) for v in identity.values()):
+        lines.refuse("it was changed", 1)
+    if not isinstance(words, dict) or not all(
+        isinstance(value, str | int | float | bool) for value in words.values()
+    ):
+        lines.refuse("it was changed", 1)
+    return identity, words
+
+
+def part_in(content: Mapping[str, Any], total: int, what: str, lines: Lines) -> Part:
+    """Return which part of ``total`` machines or searches the first line of a part names."""
+    part = content.get("part")
+    if not isinstance(part, list) or len(part) != 2 or any(type(one) is not int for one in part):
+        lines.refuse("it was changed", 1)
+    number, count = part
+    if not 1 <= number <= count <= total:
+        lines.refuse(f"there is no part {number}/{count} of {total} {what}", 1)
+    return Part(number, count)
 
 
 def read_part(path: Path) -> PartFile:
@@ -250,28 +285,14 @@ def read_part(path: Path) -> PartFile:
 
 
 def _record(content: Mapping[str, Any], lines: Lines) -> Record:
-    if content.get("format") != FORMAT:
-        lines.refuse("it is not a part of a yield of this version", 1)
-    identity, words = content.get("identity"), content.get("words")
-    seed, variants, part = (content.get(name) for name in ("seed", "variants", "part"))
-    if not isinstance(identity, dict) or not all(isinstance(v, str) for v in identity.values()):
-        lines.refuse("it was changed", 1)
-    if not isinstance(words, dict) or not all(
-        isinstance(value, str | int | float | bool) for value in words.values()
-    ):
-        lines.refuse("it was changed", 1)
+    identity, words = said_in(content, FORMAT, lines)
+    seed, variants = content.get("seed"), content.get("variants")
     if type(seed) is not int or not 0 <= seed < 1 << 64:
         lines.refuse("it has a seed that is not from 0 to 2**64 - 1", 1)
     if type(variants) is not int or not 1 <= variants <= MOST_VARIANTS:
         lines.refuse(f"its number of machines is not from 1 to {MOST_VARIANTS}", 1)
-    if not isinstance(part, list) or len(part) != 2 or any(type(one) is not int for one in part):
-        lines.refuse("it was changed", 1)
-    number, count = part
-    if not 1 <= number <= count <= variants:
-        lines.refuse(f"there is no part {number}/{count} of {variants} machines", 1)
-    return Record(
-        identity=identity, words=words, seed=seed, variants=variants, part=Part(number, count)
-    )
+    part = part_in(content, variants, "machines", lines)
+    return Record(identity=identity, words=words, seed=seed, variants=variants, part=part)
 
 
 def read_parts(paths: Sequence[Path]) -> list[PartFile]:

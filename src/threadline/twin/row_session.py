@@ -115,7 +115,6 @@ class RowSession(ABC):
         self.failed = False
         self._rows: deque[tuple[IntArray, IntArray]] = deque()
         self._events: deque[Event] = deque()  # of the commands, not reached yet
-        self._inputs: dict[str, float] = {}
         self._position = np.zeros(axes, dtype=np.int64)
         self._operation = self._row = 0
         self._halted: Event | None = None
@@ -191,18 +190,6 @@ class RowSession(ABC):
         if self._held or self._halted is not None:
             self._held, self._halted = False, None
             self._record_event("resume")
-
-    def set_input(self, name: str, value: float) -> None:
-        """Set an input for which the job may wait.
-
-        Raises
-        ------
-        OptionError
-            If the input is a limit switch of the machine: the simulated plant sets it.
-        """
-        if name in self._machine.inputs:
-            raise OptionError(f"{name} is a limit switch of {self._machine.name}: its load sets it")
-        self._inputs[name] = float(value)
 
     def finish(self, ended: RunEnd = RunEnd.COMPLETED, text: str = "") -> None:
         """Declare that no more rows follow.
@@ -306,9 +293,8 @@ class RowSession(ABC):
             self._record_event(ended.value, name=text)
 
     def _met(self, wait: Event) -> bool:
-        if wait.name in self._machine.inputs:
-            return self._tripped(wait.name) == bool(wait.value)
-        return self._inputs.get(wait.name) == wait.value
+        inputs = self._machine.inputs
+        return wait.name in inputs and self._tripped(wait.name) == bool(wait.value)
 
     def _moving(self, end: int | None) -> Part | None:
         """Return the rows up to the next halt or the end of the first piece."""

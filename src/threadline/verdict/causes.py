@@ -34,14 +34,11 @@ class Laid:
     gaps_m
         (n,) distances between the edges of neighbouring bands at the middle, in the order of the
         angle; negative where they overlap.
-    pitch_m
-        Mean distance between the middles of neighbouring bands.
     ends_m
         Positions along the axis at which the fibre turns back, left and right.
     """
 
     gaps_m: FloatArray
-    pitch_m: float
     ends_m: tuple[float, float]
 
     @property
@@ -247,4 +244,4 @@ def _laid(plan: Plan, job: WoundJob) -> Laid | None:
     across = closing.radius_m(0) * abs(float(np.cos(rows[:, 1]).mean()))
     pitch = across * np.diff(angle, append=angle[0] + 2.0 * np.pi)
     ends = low + job.at_m, high + job.at_m
-    return Laid(gaps_m=pitch - job.width_m, pitch_m=float(pitch.mean()), ends_m=ends)
+    return Laid(gaps_m=pitch - job.width_m, ends_m=ends)

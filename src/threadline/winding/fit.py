@@ -38,17 +38,13 @@ class Witness:
         self._x, self._r = (values[:, 0] for values in surface.at(u))
         self._turn = np.array([np.inf, -np.inf])
         self._along = np.array([np.inf, -np.inf])
-        self._room_m, self._inside, self._beside, self._count = np.inf, 0, 0, 0
+        self._room_m = np.inf  # least radial distance from mandrel to eye; negative inside it
+        self._inside, self._beside, self._count = 0, 0, 0
         self._in_a_row, self._longest = 0.0, 0.0
         self._last: FloatArray | None = None
         self._free_m = np.inf
         self._length_m = 0.0
         self.eyes: list[FloatArray] = []
-
-    @property
-    def room_m(self) -> float:
-        """Least radial distance from mandrel to eye, m; negative inside it, infinite beside it."""
-        return self._room_m
 
     def take(self, eyes: FloatArray, fibre: Fibre) -> None:
         """Take the next (n, 6) coordinates of the eye, and the fibre there."""

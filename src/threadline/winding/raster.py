@@ -15,7 +15,6 @@ from threadline.winding.surface import Surface, meridian
 
 _CELLS_PER_BAND = 20.0  # cells in the width of a band, at least
 _MOST_CELLS = 40_000_000
-_MARGIN_BANDS = 2.0  # widths of the band beside the covered part
 _SAME_PASS_BANDS = 3.0  # widths of laid fibre that count as one pass of the band
 _BARE = -2  # in place of an operation, where there is no fibre; -1 is a band of no operation
 
@@ -236,12 +235,6 @@ class Raster:
         """Return the share of the surface that is covered."""
         radius = self._surface.at(self.places)[1][:, 0]
         return float(radius @ (self._of != _BARE).mean(axis=1) / radius.sum())
-
-    def overlap(self) -> float:
-        """Return the mean number of bands on the surface that is covered, if they are counted."""
-        radius = self._surface.at(self.places)[1][:, 0]
-        covered_radius = radius @ (self._of != _BARE).mean(axis=1)
-        return float(radius @ self.count.mean(axis=1) / covered_radius) if covered_radius else 0.0
 
     def gap(self) -> Gap:
         """Return the largest gap.

@@ -13,7 +13,7 @@ position.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -25,10 +25,7 @@ from threadline.machine.tool import Tool
 from threadline.winding.laying import (
     BRIDGED,
     KNOWN_AFTER,
-    LAID,
     LIFTED,
-    OFF,
-    SUNK,
     WAITING,
     Laid,
     Tables,
@@ -250,16 +247,6 @@ class Replay:
             self._tied = None
             self._state, self._begun = state, True
         return block
-
-
-STATES: Mapping[int, str] = {
-    LAID: "laid",
-    LIFTED: "lifted",
-    BRIDGED: "bridged",
-    OFF: "off the mandrel",
-    WAITING: "not laid",
-    SUNK: "the eye is inside",
-}
 
 
 @njit(nogil=True)

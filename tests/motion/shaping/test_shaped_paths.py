@@ -1,8 +1,6 @@
-"""The distance of shaped motion from its path, on ticks, and refused shapers."""
+"""The distance of shaped motion from its path, and refused shapers."""
 
 from __future__ import annotations
-
-import math
 
 import numpy as np
 import pytest
@@ -16,11 +14,9 @@ from threadline.motion.shaping import (
     convolve,
     design,
     longest_delay_s,
-    on_tick_grid,
     parse_shaper,
     shape_trajectory,
     shaping_deviation,
-    vibration_of,
 )
 from threadline.motion.timing import Trajectory
 
@@ -90,26 +86,6 @@ def test_a_turning_point_that_is_cut_is_a_planned_place_missed() -> None:
     assert found.missed
     assert found.at_tool_m == pytest.approx(0.1 - top, abs=2e-6)
     assert found.at_tool_m > 1e-4
-
-
-def test_tick_grid_keeps_sum_and_centroid() -> None:
-    shaper = design("ei", MODE)
-    ticked = on_tick_grid(shaper, 0.005)
-    assert ticked.amplitudes.sum() == pytest.approx(1.0, abs=1e-14)
-    assert ticked.centroid_s == pytest.approx(shaper.centroid_s, abs=1e-15)
-    assert ticked.times_s / 0.005 == pytest.approx(np.rint(ticked.times_s / 0.005), abs=1e-9)
-    bound = (2 * math.pi * MODE.frequency_hz * 0.005) ** 2 / 8
-    assert abs(vibration_of(ticked, MODE) - vibration_of(shaper, MODE)) <= bound
-    again = on_tick_grid(ticked, 0.005)
-    assert again.times_s.tolist() == ticked.times_s.tolist()
-    # A controller that holds its reference plays the convolution of the held values.
-    move = rest_to_rest()
-    shaped = shape_trajectory(move, shaper, None, tick_s=0.005)
-    t = np.arange(0, 60) * 0.005
-    expected = sum(a * move(t - d) for a, d in zip(ticked.amplitudes, ticked.times_s, strict=True))
-    assert shaped(t) == pytest.approx(np.asarray(expected), abs=1e-14)
-    with pytest.raises(OptionError, match="tick_s"):
-        on_tick_grid(shaper, 0.0)
 
 
 def test_wrong_shapers_are_refused() -> None:

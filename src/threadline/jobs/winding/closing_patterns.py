@@ -25,7 +25,6 @@ _HALVINGS = 14  # of the range of friction ratios in search of its end
 _MORE = 1.10  # coverage up to which patterns are listed, by the least wanted
 _MOST_SHOWN = 1000
 _MAX_COUNTS_AWAY = 200  # circuits from the asked number, in search of a pattern that closes
-_FLAT = 1e-12
 _ROUNDS = 40
 _CLOSED = 1e-13  # rad
 

@@ -171,7 +171,7 @@ def _edge(
     return float(u[beyond[0]]) if len(beyond) else end_u
 
 
-def grown(surface: Surface, by: Thickness, sign: float = 1.0) -> Surface:
+def grown(surface: Surface, by: Thickness) -> Surface:
     """Return the surface with a layer on it: every point moves along its normal.
 
     Beyond the edges of the layer the step down is drawn out over three times its height. Where the
@@ -181,8 +181,6 @@ def grown(surface: Surface, by: Thickness, sign: float = 1.0) -> Surface:
     ----------
     by
         Thickness of the layer.
-    sign
-        -1 takes a layer away.
     """
     edges = float(by.u[0]), float(by.u[-1])
     u = np.linspace(0.0, surface.length_m, _MERIDIAN_POINTS)
@@ -192,7 +190,7 @@ def grown(surface: Surface, by: Thickness, sign: float = 1.0) -> Surface:
     speed = np.hypot(x[:, 1], r[:, 1])
     beyond_m = np.maximum(np.maximum(edges[0] - u, u - edges[1]), 0.0)
     edge_t = np.where(u < edges[0], by.t[0], by.t[-1])
-    t = np.where(beyond_m > 0.0, np.maximum(edge_t - beyond_m / _DRAWN_OUT, 0.0), by.at(u)) * sign
+    t = np.where(beyond_m > 0.0, np.maximum(edge_t - beyond_m / _DRAWN_OUT, 0.0), by.at(u))
     points = np.column_stack([x[:, 0] - t * r[:, 1] / speed, r[:, 0] + t * x[:, 1] / speed])
     forward = np.diff(points[:, 0]) > _STEEPEST * np.hypot(*np.diff(points, axis=0).T)
     middle = len(u) // 2

@@ -62,20 +62,18 @@ class Rebound:
     stopped_by: str
 
 
-def one_pass(
-    x: FloatArray, values: FloatArray, slopes: tuple[float, float] = (0.0, 0.0)
-) -> FloatArray:
+def one_pass(x: FloatArray, values: FloatArray) -> FloatArray:
     """Return (n,) or (n, columns) ``values`` at (n,) places ``x`` after a pass of ``rebound``."""
     from scipy.interpolate import CubicSpline
 
-    end_slopes: Any = tuple((1, np.full(values.shape[1:], slope)) for slope in slopes)
+    end_slopes: Any = ((1, np.zeros(values.shape[1:])),) * 2
     mid_points = np.concatenate((x[:1], 0.5 * (x[1:] + x[:-1]), x[-1:]))
     mid_values = CubicSpline(x, values, bc_type=end_slopes)(mid_points)
     return np.asarray(CubicSpline(mid_points, mid_values, bc_type=end_slopes)(x))
 
 
 def pass_matrix(x: FloatArray) -> FloatArray:
-    """Return the (n, n) matrix of ``one_pass`` with slopes of 0 at the ends, which is linear.
+    """Return the (n, n) matrix of ``one_pass``, which is linear.
 
     Only some columns are computed at a time, because a spline needs four times their memory.
     """
@@ -91,7 +89,6 @@ def rebound(
     y: FloatArray,
     noise: float,
     *,
-    slopes: tuple[float, float] = (0.0, 0.0),
     epsilon: float | None = None,
     most_passes: int = MOST_PASSES,
 ) -> Rebound:
@@ -107,8 +104,6 @@ def rebound(
     noise
         Standard deviation of the error of ``y``. The passes end before the root mean square of the
         corrections exceeds it, since larger corrections would change the shape.
-    slopes
-        Slopes of the splines at the first and the last row.
     epsilon
         The paper's rule, used in place of ``noise`` if given: the passes end when a pass changes no
         value by more than this. With this rule the passes flatten the cam, because many passes
@@ -117,11 +112,11 @@ def rebound(
         Largest number of passes.
     """
     # A pass is linear in the values, so its matrix is computed once for the thousands of passes.
-    matrix, offset = pass_matrix(x), one_pass(x, np.zeros_like(y), slopes)
+    matrix = pass_matrix(x)
     values, last_change, last_rms_correction, stopped_by = y, 0.0, 0.0, "passes"
     passes = 0
     while passes < most_passes:
-        passed_values = matrix @ values + offset
+        passed_values = matrix @ values
         largest_change = float(np.abs(passed_values - values).max())
         rms_correction = float(np.sqrt(np.mean((passed_values - y) ** 2)))
         if epsilon is None and rms_correction > noise:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 from threadline.base.option_defaults import DEFAULT_TOLERANCE_M
 from threadline.base.wording import nearest
@@ -188,13 +188,8 @@ def chord_path(programmed: ProgrammedPath, interpolation: str = CHORDS) -> Plann
     interpolation
         Name of the path.
     """
-    return PlannedPath(
-        axes=programmed.axes,
-        radius_m=programmed.radius_m,
-        interpolation=interpolation,
-        timing=Timing.GEOMETRIC,
-        historical=False,
-        blocks=KeptStream(straight.chords, programmed),
+    return _along(
+        programmed, interpolation, Timing.GEOMETRIC, KeptStream(straight.chords, programmed)
     )
 
 
@@ -208,21 +203,34 @@ def interpolation_names() -> tuple[str, ...]:
     return tuple(_PLANNERS)
 
 
+def _along(
+    programmed: ProgrammedPath,
+    interpolation: str,
+    timing: Timing,
+    blocks: Stream[PieceBlock],
+    *,
+    historical: bool = False,
+    **more: Any,
+) -> PlannedPath:
+    """Return the path that ``blocks`` gives to the axes of the program."""
+    return PlannedPath(
+        axes=programmed.axes,
+        radius_m=programmed.radius_m,
+        interpolation=interpolation,
+        timing=timing,
+        historical=historical,
+        blocks=blocks,
+        **more,
+    )
+
+
 def _historical(
     name: str,
     programmed: ProgrammedPath,
     blocks: KeptStream[PieceBlock],
     summary: Mapping[str, float],
 ) -> PlannedPath:
-    return PlannedPath(
-        axes=programmed.axes,
-        radius_m=programmed.radius_m,
-        interpolation=name,
-        timing=Timing.TIME,
-        historical=True,
-        blocks=blocks,
-        summary=summary,
-    )
+    return _along(programmed, name, Timing.TIME, blocks, historical=True, summary=summary)
 
 
 def _linear(programmed: ProgrammedPath, machine: Machine, options: PathOptions) -> PlannedPath:
@@ -270,15 +278,8 @@ def _auto(programmed: ProgrammedPath, machine: Machine, options: PathOptions) ->
     share = smoothing_share(smoothing, machine, programmed.axes, options.tolerance_m)
     smoothing_m = share * options.tolerance_m
     cut_m = options.tolerance_m - smoothing_m
-    path = PlannedPath(
-        axes=programmed.axes,
-        radius_m=programmed.radius_m,
-        interpolation="auto",
-        timing=Timing.GEOMETRIC,
-        historical=False,
-        blocks=KeptStream(auto_pieces, programmed, cut_m),
-        smoothing_m=smoothing_m,
-    )
+    blocks = KeptStream(auto_pieces, programmed, cut_m)
+    path = _along(programmed, "auto", Timing.GEOMETRIC, blocks, smoothing_m=smoothing_m)
     return _with_deviation(programmed, path, partial(_number_added, programmed, cut_m))
 
 
@@ -288,14 +289,8 @@ def _optimal(programmed: ProgrammedPath, machine: Machine, options: PathOptions)
     del machine
     near_m, corners = NEAR_SHARE * options.tolerance_m, options.corners
     cut_m = options.tolerance_m * (1.0 - NEAR_SHARE - _ROUNDING)
-    path = PlannedPath(
-        axes=programmed.axes,
-        radius_m=programmed.radius_m,
-        interpolation=OPTIMAL,
-        timing=Timing.FASTEST,
-        historical=False,
-        blocks=KeptStream(auto_pieces, programmed, cut_m, near_m, degree=QUARTIC, corners=corners),
-    )
+    blocks = KeptStream(auto_pieces, programmed, cut_m, near_m, degree=QUARTIC, corners=corners)
+    path = _along(programmed, OPTIMAL, Timing.FASTEST, blocks)
     added = partial(_number_added, programmed, cut_m, QUARTIC, corners)
     return _with_deviation(programmed, path, added)
 
@@ -309,15 +304,8 @@ def _firmware(programmed: ProgrammedPath, machine: Machine, options: PathOptions
             remedy="Write [planner] into the machine file (docs/machine-file.md), or choose "
             "another interpolation.",
         )
-    return PlannedPath(
-        axes=programmed.axes,
-        radius_m=programmed.radius_m,
-        interpolation=FIRMWARE,
-        timing=Timing.FIRMWARE,
-        historical=True,
-        blocks=KeptStream(straight.chords, programmed),
-        limits=programmed.limits,
-    )
+    blocks, limits = KeptStream(straight.chords, programmed), programmed.limits
+    return _along(programmed, FIRMWARE, Timing.FIRMWARE, blocks, historical=True, limits=limits)
 
 
 def _parabolic(programmed: ProgrammedPath, machine: Machine, options: PathOptions) -> PlannedPath:
@@ -327,15 +315,8 @@ def _parabolic(programmed: ProgrammedPath, machine: Machine, options: PathOption
     # ends, which by experiment need a tenth of it at reversals.
     smoothing_m = PARABOLA_SHARE * share * options.tolerance_m
     cut_m = (1.0 - share) * options.tolerance_m
-    path = PlannedPath(
-        axes=programmed.axes,
-        radius_m=programmed.radius_m,
-        interpolation="parabolic",
-        timing=Timing.GEOMETRIC,
-        historical=False,
-        blocks=KeptStream(blended_pieces, programmed, cut_m),
-        smoothing_m=smoothing_m,
-    )
+    blocks = KeptStream(blended_pieces, programmed, cut_m)
+    path = _along(programmed, "parabolic", Timing.GEOMETRIC, blocks, smoothing_m=smoothing_m)
     return _with_deviation(programmed, path)
 
 
@@ -346,15 +327,9 @@ def _polynomial(name: str) -> Planner:
         bounds = polynomial_limits(
             machine, programmed.axes, programmed.radius_m, options.tolerance_m, quintic=quintic
         )
-        path = PlannedPath(
-            axes=programmed.axes,
-            radius_m=programmed.radius_m,
-            interpolation=name,
-            timing=Timing.TIME,
-            historical=False,
-            blocks=KeptStream(polynomial_pieces, programmed, bounds, quintic=quintic),
-            smoothing_m=0.0 if quintic else options.tolerance_m,
-        )
+        blocks = KeptStream(polynomial_pieces, programmed, bounds, quintic=quintic)
+        smoothing_m = 0.0 if quintic else options.tolerance_m
+        path = _along(programmed, name, Timing.TIME, blocks, smoothing_m=smoothing_m)
         return _with_deviation(programmed, path)
 
     return planner

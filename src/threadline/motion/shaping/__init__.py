@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from threadline.base.importing import later
 
 if TYPE_CHECKING:
-    from threadline.motion.shaping.apply import longest_delay_s, on_tick_grid, shape_trajectory
+    from threadline.motion.shaping.apply import longest_delay_s, shape_trajectory
     from threadline.motion.shaping.controller import ControllerLimits, Realised, realise
     from threadline.motion.shaping.designs import (
         MOST_APART,
@@ -49,10 +49,8 @@ if TYPE_CHECKING:
     from threadline.motion.shaping.robustness import (
         HigherModes,
         Insensitivity,
-        SensitivityMap,
         check_higher_modes,
         insensitivity,
-        sensitivity_map,
     )
     from threadline.motion.shaping.shaped_law import ShapedWindow, shaped_windows
     from threadline.motion.shaping.types import UNSHAPED, FlexibleMode, Shaper, ShaperError
@@ -60,19 +58,19 @@ if TYPE_CHECKING:
 __all__ = [
     "MOST_APART", "UNSHAPED", "ControllerLimits", "Demand", "FirmwareExport", "FlexibleMode",
     "HigherModes", "Insensitivity", "MadeLaw", "Realised", "Requirement", "Ringing",
-    "SensitivityMap", "ShapedWindow", "Shaper", "ShaperError", "ShaperKind", "ShapingDeviation",
+    "ShapedWindow", "Shaper", "ShaperError", "ShaperKind", "ShapingDeviation",
     "check_apart", "check_higher_modes", "convolve", "design", "direct_shaper",
     "direct_unit_magnitude", "insensitivity", "klipper_export", "longest_delay_s", "made_law",
-    "marlin_export", "on_tick_grid", "outside", "parse_mode_hz", "parse_shaper", "realise",
+    "marlin_export", "outside", "parse_mode_hz", "parse_shaper", "realise",
     "reprap_export", "residual_m", "residual_vibration", "residual_vibration_batch", "ringing",
-    "sensitivity_map", "shape_trajectory", "shaped_windows", "shaping_deviation",
+    "shape_trajectory", "shaped_windows", "shaping_deviation",
     "specified_insensitivity", "unit_magnitude_over_bands", "usual_jerk_m_s3", "vibration_of",
 ]  # fmt: skip
 
 __getattr__ = later(
     __name__,
     {
-        "apply": "longest_delay_s on_tick_grid shape_trajectory",
+        "apply": "longest_delay_s shape_trajectory",
         "controller": "ControllerLimits Realised realise",
         "designs": "MOST_APART ShaperKind check_apart convolve design parse_mode_hz parse_shaper",
         "deviation": "ShapingDeviation shaping_deviation",
@@ -82,8 +80,7 @@ __getattr__ = later(
         "law_residual": "Ringing residual_m ringing",
         "mode_law": "Demand MadeLaw made_law outside usual_jerk_m_s3",
         "response": "residual_vibration residual_vibration_batch vibration_of",
-        "robustness": "HigherModes Insensitivity SensitivityMap check_higher_modes insensitivity "
-        "sensitivity_map",
+        "robustness": "HigherModes Insensitivity check_higher_modes insensitivity",
         "shaped_law": "ShapedWindow shaped_windows",
         "types": "UNSHAPED FlexibleMode Shaper ShaperError",
     },

@@ -41,7 +41,6 @@ def shape_trajectory(
     machine: Machine | None,
     *,
     centroid_shift: bool = False,
-    tick_s: float | None = None,
 ) -> Trajectory:
     """Convolve a trajectory with a shaper, or each axis with its own.
 
@@ -63,10 +62,6 @@ def shape_trajectory(
         Delay each axis so that the centroids sum(A t) of all trains coincide: moves at constant
         speed then stay exactly on their line although axes have different shapers. With one
         shaper for all, the centroid is a common delay and nothing has to be shifted.
-    tick_s
-        Put the impulses on whole ticks with :func:`on_tick_grid`, so that a controller that holds
-        its reference for a tick still plays the exact convolution of the held reference; None
-        keeps the exact times.
 
     Returns
     -------
@@ -81,7 +76,7 @@ def shape_trajectory(
     LimitError
         If the shaped trajectory breaks a limit of the machine and is not historical.
     """
-    trains = _trains(trajectory.axes, shaper, tick_s, centroid_shift=centroid_shift)
+    trains = _trains(trajectory.axes, shaper, centroid_shift=centroid_shift)
     shaped = Trajectory(
         axes=trajectory.axes,
         historical=trajectory.historical,
@@ -97,41 +92,9 @@ def longest_delay_s(
     shaper: Shaper | Mapping[str, Shaper],
     *,
     centroid_shift: bool = False,
-    tick_s: float | None = None,
 ) -> float:
     """Return the time that :func:`shape_trajectory` adds at the end, and at every rest, s."""
-    return float(_trains(axes, shaper, tick_s, centroid_shift=centroid_shift).delay_s[-1])
-
-
-def on_tick_grid(shaper: Shaper, tick_s: float) -> Shaper:
-    """Return the train with every impulse shared between the two ticks beside it.
-
-    The shares follow from linear interpolation, so that sum and centroid are unchanged. V changes
-    by at most (2 pi f tick)^2 / 8 times the impulse. :func:`threadline.motion.shaping.realise`
-    moves the impulses, and can solve their amplitudes again for the modes.
-
-    Raises
-    ------
-    OptionError
-        If ``tick_s`` is not positive.
-    """
-    if not (np.isfinite(tick_s) and tick_s > 0.0):
-        raise OptionError(f"shaper '{shaper.name}': tick_s must be positive, got {tick_s!r}")
-    ticks = shaper.times_s / tick_s
-    whole = np.rint(ticks)
-    ticks = np.where(np.abs(ticks - whole) < 1e-9, whole, ticks)
-    lower_tick = np.floor(ticks)
-    share = ticks - lower_tick
-    impulse_ticks = np.concatenate([lower_tick, lower_tick + 1.0]).astype(np.int64)
-    weight = np.concatenate([shaper.amplitudes * (1.0 - share), shaper.amplitudes * share])
-    amplitudes = np.zeros(int(impulse_ticks.max()) + 1)
-    np.add.at(amplitudes, impulse_ticks, weight)
-    used_ticks = np.flatnonzero(np.abs(amplitudes) > 1e-15)
-    return Shaper(
-        amplitudes=amplitudes[used_ticks],
-        times_s=np.asarray(used_ticks * tick_s, dtype=np.float64),
-        name=f"{shaper.name} on ticks",
-    )
+    return float(_trains(axes, shaper, centroid_shift=centroid_shift).delay_s[-1])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -156,7 +119,6 @@ class _Trains:
 def _trains(
     axes: tuple[str, ...],
     shaper: Shaper | Mapping[str, Shaper],
-    tick_s: float | None,
     *,
     centroid_shift: bool,
 ) -> _Trains:
@@ -170,8 +132,6 @@ def _trains(
                     remedy="Name one of them.",
                 )
         trains = [shaper.get(axis, UNSHAPED) for axis in axes]
-    if tick_s is not None:
-        trains = [on_tick_grid(train, tick_s) for train in trains]
     for train in trains:
         if abs(float(train.amplitudes.sum()) - 1.0) > _UNIT_SUM:
             raise OptionError(

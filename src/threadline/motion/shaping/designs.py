@@ -257,7 +257,6 @@ def design(
     mode: FlexibleMode,
     *,
     tolerance: float = DEFAULT_TOLERANCE,
-    over_level: float = 1.0,
 ) -> Shaper:
     """Design a shaper of ``kind`` for one mode.
 
@@ -271,9 +270,6 @@ def design(
         closed form, ZV, MZV, ZVD and ZVDD.
     tolerance
         Height of the humps of the EI kinds, in (0, 0.5); other kinds ignore it.
-    over_level
-        Bound P of the partial sums of the negative kinds, amplitudes P, -2P, 2P ... 1 + P:
-        Singhose, Singer and Seering (1997), "Time-optimal negative input shapers", JDSMC 119.
 
     Returns
     -------
@@ -315,15 +311,13 @@ def design(
         )
     if chosen_kind in _SWITCHED_HUMPS:
         humps = _SWITCHED_HUMPS[chosen_kind]
-        amplitudes = _switched_amplitudes(chosen_kind, 2 * humps + 3, over_level)
+        amplitudes = _switched_amplitudes(chosen_kind, 2 * humps + 3)
         return _proved_humps(
             chosen_kind, mode, switched_humps(humps, zeta, tolerance, amplitudes), tolerance
         )
     if chosen_kind in _SWITCHED_ORDER:
         order = _SWITCHED_ORDER[chosen_kind]
-        train = switched_zero(
-            order, zeta, _switched_amplitudes(chosen_kind, 2 * order + 3, over_level)
-        )
+        train = switched_zero(order, zeta, _switched_amplitudes(chosen_kind, 2 * order + 3))
     elif chosen_kind in _POSITIVE_ORDER:
         train = binomial(_POSITIVE_ORDER[chosen_kind], zeta)
     else:
@@ -378,16 +372,15 @@ def mzv_shape(word: str) -> tuple[int, float] | None:
     return int(n), t or 0.75
 
 
-def _switched_amplitudes(kind: ShaperKind, n: int, over_level: float) -> FloatArray:
+def _switched_amplitudes(kind: ShaperKind, n: int) -> FloatArray:
+    """Return amplitudes 1, -1 ... 1; of a negative kind 1, -2, 2 ... 2, whose sums are 1 and -1.
+
+    Singhose, Singer and Seering (1997), "Time-optimal negative input shapers", JDSMC 119.
+    """
     if kind in UNIT_MAGNITUDE:
         return alternating(n)
-    if not 0.5 < over_level <= 10.0:
-        raise OptionError(
-            f"shaper '{kind}': over_level must be in (0.5, 10], got {over_level!r}",
-            remedy="At 0.5 the impulses can just cancel; below it they can't.",
-        )
-    amplitudes = 2.0 * over_level * alternating(n)
-    amplitudes[0], amplitudes[-1] = over_level, 1.0 + over_level
+    amplitudes = 2.0 * alternating(n)
+    amplitudes[0] = 1.0
     return amplitudes
 
 

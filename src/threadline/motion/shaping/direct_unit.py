@@ -32,17 +32,13 @@ _GRID_SIZES = (240, 330, 170, 480)
 _SMALL = 1e-8
 
 
-def direct_unit_magnitude(
-    requirements: Sequence[Requirement], *, name: str = "um-direct"
-) -> Shaper:
+def direct_unit_magnitude(requirements: Sequence[Requirement]) -> Shaper:
     """Return the shortest train of amplitudes +1, -1, ... +1 that leaves no vibration of any mode.
 
     Parameters
     ----------
     requirements
         Modes with tolerance 0; ``derivatives`` above 0 make the train robust, as in UM-ZVD.
-    name
-        Name of the shaper.
 
     Returns
     -------
@@ -82,7 +78,7 @@ def direct_unit_magnitude(
     else:
         raise failures[0]
     amplitudes = np.where(np.arange(len(times)) % 2 == 0, 1.0, -1.0)
-    shaper = Shaper(amplitudes=amplitudes, times_s=times * unit, name=name)
+    shaper = Shaper(amplitudes=amplitudes, times_s=times * unit, name="um-direct")
     for r in requirements:
         mode_hz = np.array([r.mode.frequency_hz])
         prove(shaper, mode_hz, r.mode.damping_ratio, np.zeros(1), at_most=True)
@@ -194,9 +190,7 @@ _APART = 1e-4  # least distance of two switchings, in periods
 _SETTLED = 1e-6
 
 
-def unit_magnitude_over_bands(
-    requirements: Sequence[Requirement], *, name: str = "um-si"
-) -> Shaper:
+def unit_magnitude_over_bands(requirements: Sequence[Requirement]) -> Shaper:
     """Return the shortest found train of amplitudes +1, -1, ... +1 within every tolerance.
 
     V of each mode stays within the tolerance over the mode's band.
@@ -233,7 +227,7 @@ def unit_magnitude_over_bands(
             failures.append(error)
     else:
         raise failures[0]
-    shaper = Shaper(amplitudes=_signs(len(times)), times_s=times * problem.unit_s, name=name)
+    shaper = Shaper(amplitudes=_signs(len(times)), times_s=times * problem.unit_s, name="um-si")
     for r in requirements:
         f = r.mode.frequency_hz * np.linspace(1.0 - r.relative, 1.0 + r.relative, 21)
         f = f if r.relative else f[:1]

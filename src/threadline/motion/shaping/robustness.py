@@ -13,9 +13,8 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from threadline.base.arrays import FloatArray, Locked, read_only
+from threadline.base.arrays import FloatArray
 from threadline.errors import OptionError
 from threadline.motion.shaping.response import crossing, residual_vibration, vibration_of
 from threadline.motion.shaping.types import FlexibleMode, Shaper
@@ -23,39 +22,6 @@ from threadline.motion.shaping.types import FlexibleMode, Shaper
 _GRID_POINTS_A_STEP = 16384  # number of grid points per step
 _SLACK = 1.0 + 1e-8
 """Factor on the tolerance: designed humps touch it, and rounding must not end the band there."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class SensitivityMap(Locked):
-    """V over frequency and damping.
-
-    Parameters
-    ----------
-    frequency_hz, damping_ratio
-        Axes, shapes ``(m,)`` and ``(k,)``.
-    vibration
-        Shape ``(k, m)``: a row is a curve over frequency at one damping ratio.
-    """
-
-    frequency_hz: FloatArray
-    damping_ratio: FloatArray
-    vibration: FloatArray
-
-    def __post_init__(self) -> None:
-        for name, ndim in (("frequency_hz", 1), ("damping_ratio", 1), ("vibration", 2)):
-            object.__setattr__(self, name, read_only(getattr(self, name), name, ndim=ndim))
-
-
-def sensitivity_map(
-    shaper: Shaper, frequency_hz: ArrayLike, damping_ratio: ArrayLike
-) -> SensitivityMap:
-    """Return V of ``shaper`` for every pair of (m,) frequencies, Hz, and (k,) damping ratios.
-
-    With one damping ratio or one frequency the map is a curve.
-    """
-    f = np.atleast_1d(np.asarray(frequency_hz, dtype=np.float64))
-    z = np.atleast_1d(np.asarray(damping_ratio, dtype=np.float64))
-    return SensitivityMap(f, z, residual_vibration(shaper, f[None, :], z[:, None]))
 
 
 @dataclass(frozen=True, slots=True)

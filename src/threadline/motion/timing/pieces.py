@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple, TypeAlias
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from threadline.base.arrays import FloatArray, IntArray
 from threadline.base.compiled import njit
 from threadline.motion.path.durations import Smoothing
-
-BoolArray: TypeAlias = NDArray[np.bool_]
 
 _ALONG = 1e-4  # least weight of the part of q_uu along the path, squared
 _HAT = 0.25  # share of the larger curvature: the smaller curvature at the end of a corner's piece

@@ -59,9 +59,10 @@ class Kind:
     together
         Returns whether machines that differ only in numbers are simulated in one call.
     with_criteria
-        Returns the specification with the criteria added that the options ask for.
+        Returns the specification with the criteria added that the options ask for; none by default.
     release
-        Refuses a plan that must not reach a controller.
+        Refuses a plan that must not reach a controller; by default none, because the planner
+        refuses what cannot be played.
     compared
         Options, with their values, that ``compare`` compares by default.
     targets
@@ -81,10 +82,10 @@ class Kind:
     on_days: Callable[[Commands, Machine, FloatArray], Sequence[Recording]]
     others: Callable[[Commands, Machine, FloatArray, np.random.Generator], Sequence[Recording]]
     together: Callable[[Machine], bool]
-    with_criteria: Callable[[Spec, Machine, Options], Spec]
-    release: Callable[[Plan], None]
     compared: Mapping[str, tuple[str, ...]]
     targets: Mapping[str, Target]
+    with_criteria: Callable[[Spec, Machine, Options], Spec] = lambda spec, _machine, _options: spec
+    release: Callable[[Plan], None] = lambda _plan: None
 
     @property
     def planned_by(self) -> tuple[str, ...]:

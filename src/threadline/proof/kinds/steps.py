@@ -24,7 +24,6 @@ from threadline.proof.kinds.variants import one_by_one
 from threadline.proof.options import LEAVE_OUT, Options, describe, foreign_options
 from threadline.twin.stitching import simulate_stitching
 from threadline.twin.stitching_run import driven_of
-from threadline.verdict import Spec
 
 DEFAULT_ROBUST = 0.05
 """Default share of the tolerances of loads and springs that a plan covers."""
@@ -110,15 +109,6 @@ def _on_days(commands: Commands, machine: Machine, fractions: FloatArray) -> Seq
     ]
 
 
-def _with_criteria(spec: Spec, machine: Machine, options: Options) -> Spec:  # noqa: ARG001
-    """Return the specification unchanged: no option of this kind adds a criterion."""
-    return spec
-
-
-def _release(plan: Plan) -> None:
-    """Accept every plan: tables that cannot be played were refused during planning."""
-
-
 def _write_steps(plan: WrittenPlan, path: Path) -> list[Written]:
     from threadline.commands.step_files import write_steps
 
@@ -157,8 +147,6 @@ KIND = Kind(
     on_days=_on_days,
     others=partial(one_by_one, _any_day),
     together=lambda _: False,
-    with_criteria=_with_criteria,
-    release=_release,
     compared={
         "interpolation": (
             "law:modified-sine", "law:cycloidal", "law:simple-harmonic", "law:4-5-6-7",

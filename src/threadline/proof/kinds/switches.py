@@ -23,7 +23,6 @@ from threadline.proof.kinds.kind import Kind
 from threadline.proof.kinds.variants import one_by_one
 from threadline.proof.options import Options, describe, refuse_axis_options
 from threadline.twin.switching import SwitchOptions, simulate_switching
-from threadline.verdict import Spec
 
 
 def _check(machine: Machine) -> None:
@@ -62,11 +61,6 @@ def _with_scans(commands: Commands, machine: Machine, random: np.random.Generato
     return simulate_switching(switch_schedule(commands), machine, options)
 
 
-def _with_criteria(spec: Spec, machine: Machine, options: Options) -> Spec:  # noqa: ARG001
-    """Return the specification unchanged: there is no path that a shaper could change."""
-    return spec
-
-
 def _days(
     commands: Commands, machine: Machine, count: int, random: np.random.Generator
 ) -> Sequence[Recording]:
@@ -98,10 +92,6 @@ def _on_days(commands: Commands, machine: Machine, fractions: FloatArray) -> Seq
     ]
 
 
-def _release(plan: Plan) -> None:
-    """Accept every plan: a schedule that its valves cannot follow was refused during planning."""
-
-
 def _program(plan: WrittenPlan) -> Scheduled:
     """Return the schedule of one cycle: the program itself repeats it."""
     return plan.scheduled.single or plan.scheduled
@@ -121,8 +111,6 @@ KIND = Kind(
     on_days=_on_days,
     others=partial(one_by_one, _with_scans),
     together=lambda _: False,
-    with_criteria=_with_criteria,
-    release=_release,
     compared={"shaper": ("none", "zv", "um-zv", "um-zvd")},
     targets={
         "openplc": Target(write=lambda plan, path: write_openplc(_program(plan), path)),
