@@ -390,15 +390,15 @@ def test_no_lower_acceleration_is_tried_where_none_can_win(
     machine, job = files(tmp_path, "G1 X20 A90 F1000\nG1 X0\nG1 X30")
     words = {"interpolation": "auto", "level": "nominal"}
     found = tl.fastest(job, machine, **words)  # type: ignore[arg-type]
-    assert [rung.share for rung in found.of.rungs] == [1.0]
+    assert [candidate.share for candidate in found.of.candidates] == [1.0]
     (tmp_path / "tight.toml").write_text(
         'name = "gently"\n[[criteria]]\nname = "acceleration"\naxis = "X"\nlimit = "200 mm/s^2"\n'
     )
     gently = tl.fastest(job, machine, spec=tmp_path / "tight.toml", **words)  # type: ignore[arg-type]
-    assert len(gently.of.rungs) > 1
+    assert len(gently.of.candidates) > 1
     monkeypatch.setattr(least_limits, "_only_limits", lambda _: False)
     whole = tl.fastest(job, machine, **words)  # type: ignore[arg-type]
-    assert whole.best == found.best and len(whole.of.rungs) > 1
+    assert whole.best == found.best and len(whole.of.candidates) > 1
     assert whole.of.best.duration_s == found.of.best.duration_s
 
 

@@ -214,8 +214,8 @@ def follow(inverse: Inverse, motion: Motion, time_s: FloatArray) -> Followed:
         no derivative jumps between two of them.
     """
     t = np.asarray(time_s, dtype=np.float64)
-    ladder = np.stack([motion(t, order) for order in range(inverse.degree + 1)], axis=1)
-    return inverse.outputs(t, ladder, _inner(inverse, motion, t), float(ladder[0, 0]))
+    derivatives = np.stack([motion(t, order) for order in range(inverse.degree + 1)], axis=1)
+    return inverse.outputs(t, derivatives, _inner(inverse, motion, t), float(derivatives[0, 0]))
 
 
 def _inner(inverse: Inverse, motion: Motion, t: FloatArray) -> FloatArray:
@@ -229,9 +229,9 @@ def _inner(inverse: Inverse, motion: Motion, t: FloatArray) -> FloatArray:
     push = np.zeros((len(t) - 1, len(inverse.Q)))
     for at, parabola in zip(_GAUSS_AT, _GAUSS_BASIS, strict=True):
         times = t[:-1] + at * step
-        ladder = np.stack([motion(times, order) for order in range(inverse.degree)], axis=1)
-        ladder[:, 0] -= first
-        push += ladder @ inverse.R.T @ np.tensordot(parabola, moments, axes=1).T
+        derivatives = np.stack([motion(times, order) for order in range(inverse.degree)], axis=1)
+        derivatives[:, 0] -= first
+        push += derivatives @ inverse.R.T @ np.tensordot(parabola, moments, axes=1).T
     for k in range(len(t) - 1):
         inner[k + 1] = decay @ inner[k] + push[k]
     return inner

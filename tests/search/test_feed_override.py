@@ -31,7 +31,7 @@ from threadline.proof.option_words import feed_words, parse_feed
 from threadline.proof.options import Options, options_of
 from threadline.proof.pipeline import plan_job, write
 from threadline.proof.request import Words
-from threadline.search.allowance import FastestJob, Rung
+from threadline.search.allowance import Candidate, FastestJob
 from threadline.search.fastest import Fastest
 from threadline.search.feed import search_range, searched_by
 from threadline.search.feed_ranges import Interval
@@ -285,8 +285,8 @@ def test_the_output_says_which_feeds_were_judged_in_one_run(whole: bool, said: s
     found = Fastest(
         intervals=(Interval(low=0.1, high=0.5),), limited_by="x", verdict=verdict, tried=3
     )
-    rung = Rung(share=0.25, found=found, duration_s=1.0)
-    job = FastestJob(best=rung, rungs=(rung,), in_one_run=True, whole=whole)
+    candidate = Candidate(share=0.25, found=found, duration_s=1.0)
+    job = FastestJob(best=candidate, candidates=(candidate,), in_one_run=True, whole=whole)
     found_by: Any = SimpleNamespace(question=SimpleNamespace(margin=0.0), of=job)
     (line,) = FeedOutput(found_by, "job")._judged()
     assert line.startswith("the feeds of the table pass in one run of each plan") and said in line

@@ -28,7 +28,7 @@ from threadline.proof.options import Options, options_of
 from threadline.proof.pipeline import open_job, plan_job, try_plan, with_product
 from threadline.search import fastest_job, least_limits, whole_jobs
 from threadline.search import paced as search_paced
-from threadline.search.allowance import FastestJob, Rung
+from threadline.search.allowance import Candidate, FastestJob
 from threadline.search.deadline import INTERRUPTED, OUT_OF_TIME, Deadline
 from threadline.search.fastest import Fastest, Grid, Interval, find_fastest
 from threadline.search.feed import fastest_feed
@@ -323,9 +323,9 @@ def test_settings_are_in_the_words_of_the_controller(tmp_path: Path, machine: Ma
     grbl = GrblPlanner(
         kind="grbl", junction_deviation=parse_machine_quantity("0.01 mm exact, assumed", ("m",))
     )
-    rung = Rung(share=0.25, found=found, duration_s=1.0)
+    candidate = Candidate(share=0.25, found=found, duration_s=1.0)
     job = written(tmp_path, winding_blocks(3), machine)
-    result = FastestJob(best=rung, rungs=(rung, rung))
+    result = FastestJob(best=candidate, candidates=(candidate, candidate))
     told = list(settings_words(job, replace(machine, planner=grbl), result))
     x, a = (machine.axes[name].acceleration.si * 0.25 for name in "XA")
     assert told[0].startswith("to set: F 30000, ")
@@ -353,7 +353,7 @@ def test_coverage_and_tie_are_judged_on_the_whole_winding(
             best=0.05, fastest=fastest, complete=True, intervals=(fastest,), verdict=None, fixed=""
         )
 
-    def whole(best: Rung, asked: Question) -> Rung:
+    def whole(best: Candidate, asked: Question) -> Candidate:
         of_whole.append(asked)
         return best
 

@@ -65,7 +65,11 @@ def test_a_share_that_cannot_be_the_answer_is_left_out() -> None:
     shares, searched = shares_of({1.0: 1000.0, 0.5: 900.0}, {0.5: 850.0, 0.25: 900.0})
     assert shares.tried(1.0, Grid()) is not None and shares.tried(0.5, Grid()) is not None
     assert shares.tried(0.25, Grid()) is None and shares.tried(0.25, Grid()) is None
-    assert searched == [1.0, 0.5] and shares.left_out == {0.25} and set(shares.rungs) == {1.0, 0.5}
+    assert (
+        searched == [1.0, 0.5]
+        and shares.left_out == {0.25}
+        and set(shares.candidates) == {1.0, 0.5}
+    )
     assert shares.tried(0.5, Grid(near=16)) is not None and searched == [1.0, 0.5, 0.5]
 
 
@@ -113,7 +117,7 @@ def test_an_interrupt_while_the_best_is_planned_leaves_it() -> None:
     shares.duration_s = interrupted
     with pytest.raises(HaltError):
         shares.tried(1.0, Grid())
-    assert shares.rungs[1.0].duration_s == 1000.0 and until.ended == INTERRUPTED
+    assert shares.candidates[1.0].duration_s == 1000.0 and until.ended == INTERRUPTED
 
 
 def test_a_finer_search_that_is_ended_keeps_what_was_known() -> None:
@@ -178,7 +182,9 @@ def test_a_long_job_is_not_searched_with_limits_that_cannot_be_the_answer(
         )
     )
     assert result.best.share == 1.0 and result.best.duration_s > 300.0
-    assert set(result.left_out) > {0.5, 0.25, 0.125} and [r.share for r in result.rungs] == [1.0]
+    assert set(result.left_out) > {0.5, 0.25, 0.125} and [r.share for r in result.candidates] == [
+        1.0
+    ]
     assert result.ended == INTERRUPTED and not result.whole and result.parts
     # The accelerations are still printed, because their share was searched.
     assert len(list(settings_words(job, machine, result))) == 2

@@ -91,7 +91,7 @@ def optimal(until: Deadline) -> tuple[float | None, int]:
         )
     )
     assert found.ended == until.ended
-    return found.best.found.best, len(found.rungs)
+    return found.best.found.best, len(found.candidates)
 
 
 SEARCHES: dict[str, Callable[[Deadline], tuple[float | None, int]]] = {

@@ -157,21 +157,21 @@ def comparison_tables(
 
 
 def _fastest_row(name: str, result: FastestJob, reference: FastestJob) -> list[str]:
-    rung, slowest = result.best, reference.best.found.best
-    best = rung.found.best
+    candidate, slowest = result.best, reference.best.found.best
+    best = candidate.found.best
     if best is None:
-        return [name, "none", "-", "-", "-", rung.found.limited_by]
+        return [name, "none", "-", "-", "-", candidate.found.limited_by]
     names_unit = reference.by is FeedMode.OVERRIDE
     answer = f"{best * 1e3:.1f}{' mm/s' if names_unit else ''}"
     if result.by is FeedMode.OVERRIDE:
         answer = f"{best * 100.0:.4g} %"
     return [
         name,
-        f"{answer}{' alone' if rung.alone else ''}",
+        f"{answer}{' alone' if candidate.alone else ''}",
         f"{best / slowest:.2f}" if slowest and result.by is reference.by else "-",
-        f"{rung.share:.0%}",
-        f"{rung.duration_s:.3f}",
-        limit_words(rung.found.limited_by, AXES_ALONE),
+        f"{candidate.share:.0%}",
+        f"{candidate.duration_s:.3f}",
+        limit_words(candidate.found.limited_by, AXES_ALONE),
     ]
 
 

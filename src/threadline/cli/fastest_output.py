@@ -226,16 +226,18 @@ class FeedOutput(SearchOutput):
     def _table(self) -> Printed:
         best, (unit, per_m_s) = self.of.best, _UNITS[self.of.by]
         rows = []
-        for rung in self.of.rungs:
-            for interval in rung.found.intervals:
-                first = interval is rung.found.fastest
+        for candidate in self.of.candidates:
+            for interval in candidate.found.intervals:
+                first = interval is candidate.found.fastest
                 rows.append(
                     [
-                        share_words(rung.share),
+                        share_words(candidate.share),
                         typed(interval.low * per_m_s),
                         "alone" if interval.alone else typed(interval.high * per_m_s),
-                        f"{rung.duration_s:.3f}" if first and rung.duration_s else "",
-                        self._limit(rung.found.limited_by, best=rung is best) if first else "",
+                        f"{candidate.duration_s:.3f}" if first and candidate.duration_s else "",
+                        self._limit(candidate.found.limited_by, best=candidate is best)
+                        if first
+                        else "",
                     ]
                 )
         header = ["acceleration limits used", f"from {unit}", f"to {unit}", "job s", "limited by"]
@@ -252,7 +254,9 @@ class FeedOutput(SearchOutput):
         best, tried, (unit, per_m_s) = self.of.best, self.found.tried, _UNITS[self.of.by]
         yield from self._judged()
         if best.found.best is None:
-            forbidding = joined(one for rung in self.of.rungs for one in rung.found.forbidden)
+            forbidding = joined(
+                one for candidate in self.of.candidates for one in candidate.found.forbidden
+            )
             why, *more = forbidden_words(forbidding, best.found.limited_by, self._feed_text)
             yield from (f"no feed is in spec ({tried} tried): {why}", *more)
             if best.found.fixed:
@@ -358,12 +362,12 @@ class FeedOutput(SearchOutput):
             "searched_in_one_run": result.in_one_run,
             "rungs": [
                 {
-                    "limits": rung.share,
-                    "duration_s": rung.duration_s,
-                    "intervals": [[i.low, i.high] for i in rung.found.intervals],
-                    "limited_by": rung.found.limited_by,
+                    "limits": candidate.share,
+                    "duration_s": candidate.duration_s,
+                    "intervals": [[i.low, i.high] for i in candidate.found.intervals],
+                    "limited_by": candidate.found.limited_by,
                 }
-                for rung in result.rungs
+                for candidate in result.candidates
             ],
         }
 

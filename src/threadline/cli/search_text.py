@@ -215,7 +215,7 @@ def settings_words(job: Job, machine: Machine, result: FastestJob) -> Iterator[s
     if result.by is FeedMode.FASTEST_AXIS and is_other_rule:
         other = f"{speed_of(job.feed_rule)} (feed mode {job.feed_rule})"
         yield f"F of this job is another speed: {other}"
-    if len(result.rungs) + len(result.left_out) < _SEARCHED:
+    if len(result.candidates) + len(result.left_out) < _SEARCHED:
         return
     shares = []
     for name, axis in machine.axes.items():

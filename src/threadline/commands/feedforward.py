@@ -323,8 +323,8 @@ class _Column:
         time_s = np.arange(self._next, stop) * timing.tick_s
         early_s = np.arange(self._next_early, stop + preview.ahead) * timing.tick_s + timing.early_s
         self._next, self._next_early = stop, stop + preview.ahead
-        now = motion.ladder(time_s, preview.orders)[:, :, self._column]
-        early = motion.ladder(early_s, preview.orders)[:, :, self._column]
+        now = motion.derivatives(time_s, preview.orders)[:, :, self._column]
+        early = motion.derivatives(early_s, preview.orders)[:, :, self._column]
         references = preview.feed(time_s, now, early)
         self._ends.add(preview.latest)
         self._time_s = np.concatenate([self._time_s, time_s])

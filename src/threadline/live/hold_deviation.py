@@ -98,7 +98,7 @@ def hold_ahead_m(plan: Plan) -> float:
         position_counts = last_counts + np.cumsum(block.counts, axis=0)
         times_s = table.clock.times_s(block.first_tick + 1, len(block))
         commanded_m = (position_counts / scale * radius)[:, columns]
-        intended_m = reader.ladder(times_s, 1)[:, 0] * radius[columns]
+        intended_m = reader.derivatives(times_s, 1)[:, 0] * radius[columns]
         largest_m = max(
             largest_m, float(np.linalg.norm(commanded_m - intended_m, axis=1).max(initial=0.0))
         )

@@ -266,7 +266,7 @@ def _kept_samples(
         velocity = np.diff(with_previous, axis=0)[1:] / interval_s
         acceleration = np.diff(with_previous, 2, axis=0) / interval_s**2
         number = block.first + np.arange(len(actual))
-        planned = reader.ladder(block.due_s, 3)
+        planned = reader.derivatives(block.due_s, 3)
         reader.drop(float(block.due_s[0]))
         if block.slow is not None:
             scale_to_run_rate(planned, block.due_s - block.time_s, interval_s)

@@ -216,7 +216,7 @@ def _feed(question: Question) -> Answer:
     return Answer(
         question=question, best=best.found.best, unit=feed_unit(by), duration_s=best.duration_s,
         intervals=best.found.intervals, limited_by=best.found.limited_by,
-        verdict=best.found.verdict, tried=sum(rung.found.tried for rung in found.rungs),
+        verdict=best.found.verdict, tried=sum(one.found.tried for one in found.candidates),
         searched={FeedMode.F_WORD: F_WORDS, FeedMode.OVERRIDE: OVERRIDE}.get(by, FEED),
         of=found, words=job_words(found), plan=plan,
     )  # fmt: skip

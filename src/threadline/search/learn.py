@@ -115,7 +115,7 @@ class Learner:
             return self._read(simulate(self.table, self.plan.machine))
         reader = TrajectoryReader(motion.trajectory)
         until_s = np.minimum(self._time_s[:ticks], motion.trajectory.duration_s)
-        return np.asarray(reader.ladder(until_s, 1)[:, 0, :])
+        return np.asarray(reader.derivatives(until_s, 1)[:, 0, :])
 
     def _read(self, recording: Recording) -> FloatArray:
         """Return the (n + 1, axes) sensor readings at the beginning of each tick, m or rad."""

@@ -332,7 +332,7 @@ class StitchFollower:
             return np.zeros(0)
         begin_s = time_s - over_s
         both, back = np.unique(np.concatenate([begin_s, time_s]), return_inverse=True)
-        at_m = self._geared.ladder(both, 1)[back, 0][:, self._columns]
+        at_m = self._geared.derivatives(both, 1)[back, 0][:, self._columns]
         self._geared.drop(float(begin_s[-1]) - self._over_s)
         way_m = (at_m[len(begin_s) :] - at_m[: len(begin_s)]) * self._radius_m[self._columns]
         return np.asarray(np.linalg.norm(way_m, axis=1) / over_s)

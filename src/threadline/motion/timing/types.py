@@ -212,14 +212,14 @@ class TrajectoryReader:
         self._blocks: list[TrajectoryBlock] = []
         self._ended = False
 
-    def ladder(self, time_s: FloatArray, orders: int) -> FloatArray:
+    def derivatives(self, time_s: FloatArray, orders: int) -> FloatArray:
         """Return the (n, orders, axes) position and derivatives at (n,) ascending times."""
-        rungs = np.zeros((len(time_s), orders, self._axes))
+        derivatives = np.zeros((len(time_s), orders, self._axes))
         if not len(time_s):
-            return rungs
+            return derivatives
         self._reach(float(time_s[-1]))
         if not self._blocks:
-            return rungs
+            return derivatives
         edges = np.searchsorted(time_s, [block.end_s for block in self._blocks], side="right")
         edges[-1] = len(time_s)
         begin = 0
@@ -227,11 +227,11 @@ class TrajectoryReader:
             if end > begin:
                 part = slice(begin, end)
                 for order in range(orders):
-                    rungs[part, order] = block.evaluate(time_s[part], order)
+                    derivatives[part, order] = block.evaluate(time_s[part], order)
                 begin = end
         outside = (time_s < self._blocks[0].start_s[0]) | (time_s > self._blocks[-1].end_s)
-        rungs[outside, 1:] = 0.0
-        return rungs
+        derivatives[outside, 1:] = 0.0
+        return derivatives
 
     def drop(self, before_s: float) -> None:
         """Discard pieces that end before an instant, except the last known block."""
