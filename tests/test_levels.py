@@ -294,7 +294,7 @@ def test_the_file_of_the_worst_machine_gives_its_figure_to_the_bit(
     monkeypatch.chdir(tmp_path)
     Path("exact.toml").write_text(f'base = "{base}"\n[drives.x]\n{exact}\n[drives.y]\n{exact}\n')
     monkeypatch.setattr(worst_search, "SEARCHED", 60)
-    monkeypatch.setattr(worst_search, "SEARCHED_ALONE", 10)
+    monkeypatch.setattr(worst_search, "SEARCHED_SERIAL", 10)
     file = tmp_path / "deep" / "worst.toml"
     words = ["prove", str(EXAMPLES / job), "-m", machine]
     with pytest.raises(SystemExit) as ended:
@@ -316,7 +316,7 @@ def test_a_report_in_python_has_the_worst_machine_as_on_the_command_line(
 ) -> None:
     """The same bytes by both doors; but no report replaces the machine file of its own proof."""
     monkeypatch.setattr(worst_search, "SEARCHED", 12)
-    monkeypatch.setattr(worst_search, "SEARCHED_ALONE", 10)
+    monkeypatch.setattr(worst_search, "SEARCHED_SERIAL", 10)
     monkeypatch.chdir(tmp_path)
     job = tmp_path / "turn.prg"
     job.write_text("G91\nG1 X2 F1000\nM30\n", encoding="utf-8")

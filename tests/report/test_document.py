@@ -194,7 +194,7 @@ def test_the_speeds_over_tolerances_are_a_line_for_each_mass() -> None:
 def test_a_gap_beneath_the_fastest_is_drawn_and_told(capsys: pytest.CaptureFixture[str]) -> None:
     """The end of each slower range is hollow; all ranges in spec stand beside the fastest."""
     ends = ((67.93, 70.58), (20.0, 57.63), (12.0, 12.0))
-    ranges = tuple(Interval(low=low, high=high, alone=low == high) for low, high in ends)
+    ranges = tuple(Interval(low=low, high=high, isolated=low == high) for low, high in ends)
     cells = [replace(cell(0.0, 1.0, 70.58, "x"), intervals=ranges), cell(0.0, 0.0, 73.0, "x")]
     (panel,) = draw_mismatch(cells, "a title", NEEDLE).axes
     (hollow,) = (

@@ -123,7 +123,7 @@ def test_a_plan_whose_neighbour_fails_is_not_the_answer(
         Question(job=job, machine=machine, spec=load_spec(None, machine), options=OPTIMAL)
     )
 
-    assert [r.contour_m for r in result.candidates if r.alone] == [0.41e-3]
+    assert [r.contour_m for r in result.candidates if r.isolated] == [0.41e-3]
     assert result.best.contour_m == 0.39e-3
     assert tried[-2:] == [pytest.approx(0.40795e-3), pytest.approx(0.38805e-3)]
     assert all(allowed == float(f"{allowed:.5g}") for allowed in tried)

@@ -188,7 +188,7 @@ def test_the_worst_machine_may_lie_inside(
         return replace(found, rows=rows)
 
     monkeypatch.setattr(study, "judged", peaked)
-    monkeypatch.setattr(study._alone, "judged", peaked)
+    monkeypatch.setattr(study._serial, "judged", peaked)
     monkeypatch.setattr(machine_yield, "MOST_CORNERS", most_corners)
     known = study.drawn(20, 1)
     worst = study.worst(known)

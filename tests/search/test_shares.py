@@ -281,16 +281,16 @@ def test_below_feeds_that_pass_alone_the_next_interval_is_looked_into() -> None:
 
     alone = float(f"{10.0**0.5:.4g}")
     found = find_fastest(judged, 0.1, 10.0, Grid(points=9, near=16, every=False))
-    assert found.alone == (alone,) and found.best == pytest.approx(1.0, rel=2.1e-3)
+    assert found.isolated == (alone,) and found.best == pytest.approx(1.0, rel=2.1e-3)
     # Four feeds in a row pass down to 10^-0.75.
-    lows = [i.low for i in found.intervals if not i.alone]
+    lows = [i.low for i in found.intervals if not i.isolated]
     assert lows == pytest.approx([0.55, 10.0**-0.75], rel=2.1e-3) and found.low == lows[-1]
 
     def nothing_holds(feed: float) -> Verdict:
         return verdict(0.99 if abs(feed - alone) < 1e-4 else 1.01)
 
     found = find_fastest(nothing_holds, 0.1, 10.0, Grid(points=9, near=16, every=False))
-    assert found.alone == (alone,) and found.best == alone
+    assert found.isolated == (alone,) and found.best == alone
 
 
 def test_limiting_criterion_ignores_a_feed_that_passes_by_chance() -> None:

@@ -47,7 +47,7 @@ back have the same."""
 def few_searched(monkeypatch: pytest.MonkeyPatch) -> None:
     """Search the worst machine among few, in the search and when its answer is typed back."""
     monkeypatch.setattr(worst_search, "SEARCHED", 10)
-    monkeypatch.setattr(worst_search, "SEARCHED_ALONE", 2)
+    monkeypatch.setattr(worst_search, "SEARCHED_SERIAL", 2)
 
 
 def drawn(low: float, high: float) -> list[float]:
@@ -301,7 +301,7 @@ def test_interval_ends_early_if_the_used_share_jumps_between_feeds(phase: float)
 
     found = find_fastest(judged, 1.0, 8.0, Grid(points=7, near=2))
     best = found.fastest
-    assert best is not None and not best.alone and 3.92 <= best.high < 3.99
+    assert best is not None and not best.isolated and 3.92 <= best.high < 3.99
     random = np.random.default_rng(3)
     high = random.uniform(0.99 * best.high, best.high, 1000)
     assert np.mean([used(feed) > 1.0 for feed in high]) < 0.2

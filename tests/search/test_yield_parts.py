@@ -92,7 +92,7 @@ def test_merged_parts_are_one_run_to_the_bit(
     """
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(machine_yield, "_SEARCHED", 100)
-    monkeypatch.setattr(worst_search, "SEARCHED_ALONE", 10)
+    monkeypatch.setattr(worst_search, "SEARCHED_SERIAL", 10)
     Path("job.prg").write_text(job, encoding="utf-8")
     words = ["job.prg", "-m", machine, "--variants", str(variants), "--seed", "7"]
     words += ["--interpolation", "linear"]

@@ -265,8 +265,8 @@ def test_schedules_of_random_moves_end_within_the_tolerance(seed: int) -> None:
     pace = unlimited(1e-4)
     schedule = pace.scheduled(moves)
     assert pace.most_swings_m(moves, schedule.turn_s).max() <= 1e-4 * (1 + 1e-6)
-    alone_s = float(pace.needed_turns_s(moves).sum())
-    assert schedule.bound_s <= schedule.turn_s.sum() < 1.1 * alone_s
+    needed_s = float(pace.needed_turns_s(moves).sum())
+    assert schedule.bound_s <= schedule.turn_s.sum() < 1.1 * needed_s
 
 
 @pytest.mark.long(shown_by="test_schedules_of_random_moves_end_within_the_tolerance")

@@ -13,7 +13,7 @@ from threadline.cli import option_parameters
 from threadline.cli.arguments import JobArgument, JsonOption, MachineOption, ReportOption
 from threadline.cli.messages import warning
 from threadline.cli.output import check_outputs, print_json, print_table, progress_bar, say, warn
-from threadline.cli.search_text import AXES_ALONE, command_line, limit_words
+from threadline.cli.search_text import VELOCITY_LIMITS, command_line, limit_words
 from threadline.errors import OptionError
 from threadline.jobs.operations import FeedMode
 from threadline.motion.path.interpolations import FIRMWARE
@@ -167,11 +167,11 @@ def _fastest_row(name: str, result: FastestJob, reference: FastestJob) -> list[s
         answer = f"{best * 100.0:.4g} %"
     return [
         name,
-        f"{answer}{' alone' if candidate.alone else ''}",
+        f"{answer}{' alone' if candidate.isolated else ''}",
         f"{best / slowest:.2f}" if slowest and result.by is reference.by else "-",
         f"{candidate.share:.0%}",
         f"{candidate.duration_s:.3f}",
-        limit_words(candidate.found.limited_by, AXES_ALONE),
+        limit_words(candidate.found.limited_by, VELOCITY_LIMITS),
     ]
 
 
@@ -190,7 +190,7 @@ def comparison_json(found: Comparison) -> dict[str, Any]:
                 "best": f.best.found.best,
                 "unit": "" if f.by is FeedMode.OVERRIDE else "m/s",
                 "intervals": [[i.low, i.high] for i in f.best.found.intervals],
-                "alone": list(f.best.found.alone),
+                "alone": list(f.best.found.isolated),
                 "limited_by": f.best.found.limited_by,
                 "limits": f.best.share,
                 "duration_s": f.best.duration_s,

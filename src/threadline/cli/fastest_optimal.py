@@ -96,7 +96,7 @@ class OptimalOutput(SearchOutput):
                 f"unsearched: up to {self.of.left} further choices of a plan, some plans for "
                 'each; --within "2 h" continues the search'
             )
-        if any(candidate.alone for candidate in self.of.candidates):
+        if any(candidate.isolated for candidate in self.of.candidates):
             yield "alone: the plan for an allowance smaller by half a percent is out of spec"
         for bound in self.of.bounds:
             excess = best.duration_s / bound.duration_s - 1.0
@@ -122,7 +122,7 @@ class OptimalOutput(SearchOutput):
                     "limited_by": None
                     if candidate.duration_s is not None
                     else candidate.found.limited_by,
-                    "alone": candidate.alone,
+                    "alone": candidate.isolated,
                     **_allowed(candidate),
                 }
                 for candidate in self.of.candidates
@@ -159,7 +159,7 @@ def _choices(options: Options | None) -> dict[str, Any]:
 def _outcome(candidate: Candidate) -> str:
     if candidate.duration_s is None:
         return f"OUT: {candidate.found.limited_by}"
-    return "in spec, alone" if candidate.alone else "in spec"
+    return "in spec, alone" if candidate.isolated else "in spec"
 
 
 def _allowance(candidate: Candidate) -> str:

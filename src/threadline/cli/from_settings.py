@@ -56,7 +56,7 @@ _PLANNER_UNITS = {
     "square_corner_velocity": "mm/s", "short_time": "ms", "tolerance": "mm", "cam_tolerance": "mm",
 }  # fmt: skip
 
-_ALONE = (
+_LIMITS_ONLY = (
     "No motor and no mass was given, so jobs are proven for limits and time, not for placement. "
     'For placement, make the machine again with --set "torque=1.26 N m": the command asks for the '
     "other values."
@@ -183,7 +183,7 @@ def settings_files(
             if key not in given_answers.given
         ]
     form = settings.form or settings.firmware
-    notes = [*settings.notes, *([_ALONE] if no_dynamics else [])]
+    notes = [*settings.notes, *([_LIMITS_ONLY] if no_dynamics else [])]
     return FromSettings(contents, form, rows, notes, settings.unheeded)
 
 

@@ -18,7 +18,7 @@ from threadline.search.machine_yield import MachineYield, yield_words
 
 _MACHINES = MACHINES
 SAMPLES = 256
-_SAMPLES_ALONE = 16  # number of samples if machines are simulated one by one
+_SAMPLES_SERIAL = 16  # number of samples if machines are simulated one by one
 
 
 def counted(progress: Progress, what: str, total: int | None = None) -> Done:
@@ -67,7 +67,7 @@ def sensitivities_of(
     """Return the sensitivities; use at most ``variants`` machines if simulated one by one."""
     normal = [number.normal for number in judged.numbers]
     machines = _MACHINES if judged.together else min(_MACHINES, variants)
-    samples = SAMPLES if judged.together else _SAMPLES_ALONE
+    samples = SAMPLES if judged.together else _SAMPLES_SERIAL
     total = (len(normal) + 1) * machines + judgements(len(normal), samples)
     done = counted(progress, "what the yield depends on", total)
 

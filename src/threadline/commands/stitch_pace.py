@@ -415,13 +415,13 @@ class Pace:
         first = Moves(units=moves.units[start], needle=moves.needle[start])
         for turn in np.geomspace(shortest, below_s, _EVEN_TURNS)[:-1].tolist():
             window = np.array([self.share * turn])
-            alone_m = [
+            swings_m = [
                 way * float(np.abs(swing(self.law, _aside(mode, ratio), window))[0])
                 for way, modes in zip(ways_m.tolist(), self.modes.values(), strict=True)
                 for mode in modes
                 for ratio in _ASIDE
             ]
-            if max(alone_m, default=0.0) > self.tolerance_m:
+            if max(swings_m, default=0.0) > self.tolerance_m:
                 continue
             if self._kept(first, turn) and self._kept(moves, turn):
                 return float(turn)

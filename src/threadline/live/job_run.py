@@ -259,7 +259,7 @@ def fault_of(done: Executed, over: Link) -> LinkFaultError:
     )
 
 
-class HoldAlone:
+class HoldTimeout:
     """Ends a hold after ``UNATTENDED_S``, where nobody is at the keyboard.
 
     Parameters
@@ -270,16 +270,16 @@ class HoldAlone:
 
     def __init__(self, desk: Desk) -> None:
         self._desk = desk
-        self._ends_s: float | None = None
+        self._deadline_s: float | None = None
 
     def step(self, executor: Running) -> None:
         """Stop a run that holds for longer than ``UNATTENDED_S``."""
         if executor.state is not State.HOLDING:
-            self._ends_s = None
+            self._deadline_s = None
             return
         now_s = clock_s()
-        self._ends_s = now_s + UNATTENDED_S if self._ends_s is None else self._ends_s
-        if now_s >= self._ends_s:
+        self._deadline_s = now_s + UNATTENDED_S if self._deadline_s is None else self._deadline_s
+        if now_s >= self._deadline_s:
             executor.stopped_by = "Threadline: nobody is at the keyboard to resume"
             self._desk.ask(Cause.STOP)
 
@@ -288,13 +288,13 @@ class Unattended:
     """Attends a run without an operator: it ends long holds, and confirms nothing."""
 
     def __init__(self, desk: Desk) -> None:
-        self._alone = HoldAlone(desk)
+        self._hold_timeout = HoldTimeout(desk)
         self.time_s = 0.0
 
     def step(self, executor: Running) -> None:
         """Note the time, and end a hold that lasts."""
         self.time_s = executor.time_s
-        self._alone.step(executor)
+        self._hold_timeout.step(executor)
 
     def confirmed(self) -> bool | None:
         """Confirm nothing: nobody looked at the machine."""

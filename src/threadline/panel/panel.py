@@ -49,7 +49,7 @@ _CAUSES = {
 }  # fmt: skip
 _OF_PROVEN = frozenset({"start", "approach", "continue", "approach-rest", "start-rest"})
 _OF_REST = frozenset({"approach-rest", "start-rest"})
-_OF_REST_ALONE = frozenset({Cause.JOG, Cause.HOME})
+_NEED_REST = frozenset({Cause.JOG, Cause.HOME})
 """Causes of commands that need a machine at rest; switching off is possible at any time."""
 _BROKEN = frozenset({State.FAULT, State.DISABLED})
 """States in which the link may be started again."""
@@ -323,7 +323,7 @@ class Panel:
             what
             for what, cause in _CAUSES.items()
             if (state, cause) in TRANSITIONS
-            and (stands or cause not in _OF_REST_ALONE)
+            and (stands or cause not in _NEED_REST)
             and (free or cause is not Cause.START)
         ]
         if not run_kind_of(self.machine).by_hand:

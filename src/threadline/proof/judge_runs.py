@@ -35,7 +35,7 @@ from threadline.verdict import EachRun, Judge, Spec, needed_channels
 from threadline.verdict.pattern import raster_bytes
 from threadline.verdict.replayed import with_products
 
-_Alone = tuple[FloatArray, FloatArray | None]
+_OneMachine = tuple[FloatArray, FloatArray | None]
 """Parts of one machine, and (1, 5) parts of its product."""
 
 
@@ -110,7 +110,7 @@ class SerialJudge:
         )
         return answers(self, items, done, here=here)
 
-    def answer(self, item: _Alone, done: Done | None = None) -> EachRun:
+    def answer(self, item: _OneMachine, done: Done | None = None) -> EachRun:
         """Return the result of one machine with its product."""
         try:
             result = self._one(*item)
@@ -120,7 +120,7 @@ class SerialJudge:
             done(1)
         return result
 
-    def machines(self, _item: _Alone) -> int:
+    def machines(self, _item: _OneMachine) -> int:
         """Return 1: machines are judged one by one."""
         return 1
 

@@ -411,9 +411,9 @@ def check_target(target: str, machine: Machine, options: Options) -> None:
 def level_option(trials: Trials) -> dict[str, str]:
     """Return the options, with values, that select the level of ``trials``; {} for the default."""
     others = {"--ends": trials.ends, "--band": trials.band}
-    if trials != trials.alone:
+    if trials != trials.without_others:
         shares = {name: f"{100.0 * n:.12g} %" for name, n in others.items() if n is not None}
-        return level_option(trials.alone) | shares
+        return level_option(trials.without_others) | shares
     if trials == REPEATED:
         return {}
     if trials.wanted_yield is not None:

@@ -12,7 +12,7 @@ from threadline.machine.vary import Days
 from threadline.proof.worst_machine import WithinTolerances, row_shares, shares_of
 from threadline.verdict import EachRun
 
-SEARCHED, SEARCHED_ALONE = 1200, 60
+SEARCHED, SEARCHED_SERIAL = 1200, 60
 """Largest number of machines that a search tries after both ends of each number: if machines are
 simulated in batches, and if they are simulated one by one."""
 _REPLAYED_TICKS = 50_000_000
@@ -54,10 +54,10 @@ _Climb = tuple[int, int]
 def most_searched(within: WithinTolerances) -> int:
     """Return how many machines a search tries after both ends of each number."""
     if not within.together:
-        return SEARCHED_ALONE
+        return SEARCHED_SERIAL
     if not within.replayed:
         return SEARCHED
-    return min(max(_REPLAYED_TICKS // max(within.ticks, 1), SEARCHED_ALONE), SEARCHED)
+    return min(max(_REPLAYED_TICKS // max(within.ticks, 1), SEARCHED_SERIAL), SEARCHED)
 
 
 class WorstSearch:

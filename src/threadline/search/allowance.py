@@ -5,8 +5,8 @@ is the contour allowance: the largest distance of the loads from the path. Encod
 levels and the spread between runs add to the contour error, and only a proof shows how much they
 add. So the search proves a few plans: it raises the allowance until a plan fails, and lowers it
 until a plan passes. Near the limit a plan can pass by chance. So a slightly smaller allowance is
-proved, too. If the plan with the smaller allowance fails, the first plan is marked as alone, and a
-slower plan is the answer.
+proved, too. If the plan with the smaller allowance fails, the first plan is marked as isolated, and
+a slower plan is the answer.
 With feed-forward the loads follow the motion itself, and position-controlled drives have no loop to
 lag. There the search lowers the share of the acceleration and jerk limits until a plan passes.
 """
@@ -57,9 +57,9 @@ class Candidate:
     options: Options | None = None
 
     @property
-    def alone(self) -> bool:
+    def isolated(self) -> bool:
         """Whether the plans with neighbouring allowances are out of specification."""
-        return self.found.fastest is not None and self.found.fastest.alone
+        return self.found.fastest is not None and self.found.fastest.isolated
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -121,7 +121,7 @@ _AIM = 0.97  # share of the limit that the next allowance aims at
 _LEAST_GROWTH, _MOST_GROWTH = 1.06, 1.5
 _LEAST_FALL = 0.4
 _BESIDE = 0.995  # factor from an allowance to its neighbour, which must pass as well
-_MOST_ALONE = 3
+_MOST_NEIGHBOURS = 3
 _PLACED = ("contour_error", "turning_point_error", "progress_error")
 
 
@@ -171,8 +171,10 @@ def fastest_allowed(question: Question) -> FastestJob:
     with until_deadline(until, lambda: candidates):
         while amount is not None:
             candidates[amount] = proved(amount)
-            alone = by_contour and options.contour_m is not None
-            amount = None if alone or len(candidates) >= _MOST_PROOFS else next_amount(candidates)
+            is_single = by_contour and options.contour_m is not None
+            amount = (
+                None if is_single or len(candidates) >= _MOST_PROOFS else next_amount(candidates)
+            )
         if by_contour and options.contour_m is None:
             _look_beside(candidates, proved)
     return FastestJob(
@@ -185,11 +187,11 @@ def fastest_allowed(question: Question) -> FastestJob:
 
 def _look_beside(candidates: dict[float, Candidate], proved: Callable[[float], Candidate]) -> None:
     """Prove neighbours of the fastest plans until plan and neighbour pass; mark isolated plans."""
-    for _ in range(_MOST_ALONE):
+    for _ in range(_MOST_NEIGHBOURS):
         passing = [
             c
             for c, candidate in candidates.items()
-            if candidate.duration_s is not None and not candidate.alone
+            if candidate.duration_s is not None and not candidate.isolated
         ]
         if not passing:
             return
@@ -201,7 +203,7 @@ def _look_beside(candidates: dict[float, Candidate], proved: Callable[[float], C
         if math.isinf(best_m) or candidates[neighbour_m].duration_s is not None:
             return
         found = candidates[best_m].found
-        isolated = tuple(replace(interval, alone=True) for interval in found.intervals)
+        isolated = tuple(replace(interval, isolated=True) for interval in found.intervals)
         candidates[best_m] = replace(candidates[best_m], found=replace(found, intervals=isolated))
 
 
@@ -253,7 +255,7 @@ def _best(candidates: Mapping[float, Candidate], default_limit: str) -> Candidat
         return min(candidates.values(), key=lambda candidate: closeness(candidate.found.verdict))
     best_amount = min(
         passed,
-        key=lambda amount: (candidates[amount].alone, candidates[amount].duration_s or math.inf),
+        key=lambda amount: (candidates[amount].isolated, candidates[amount].duration_s or math.inf),
     )
     failed_above = [
         amount

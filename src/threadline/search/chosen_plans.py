@@ -177,7 +177,7 @@ class Choosing:
         verdict = question.judged(plan)
         if not verdict.passed or not 1 < question.trials.repeats < _CONFIRMED:
             return verdict
-        more_trials = replace(question.trials.alone, repeats=_CONFIRMED)
+        more_trials = replace(question.trials.without_others, repeats=_CONFIRMED)
         confirmed = try_plan(plan, question.spec, more_trials, question.actual).verdict
         return question.searched(plan, verdict) if confirmed.passed else confirmed
 

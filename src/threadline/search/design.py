@@ -302,7 +302,7 @@ def redesign(
         spec,
         options,
         OtherRuns.of(space, wanted.trials, corners=wanted.corners),
-        wanted.effort or (AHEAD if wanted.smoothing_s else FEW if space.alone else THOROUGH),
+        wanted.effort or (AHEAD if wanted.smoothing_s else FEW if space.serial else THOROUGH),
     )
     return Redesign(
         machine=machine,

@@ -251,7 +251,7 @@ class OtherRuns:
             repeats=trials.repeats,
             # If machines are simulated one by one, the corners would take hours, so only the proof
             # judges them.
-            corners=(corners or all_machines) and space.corner_count > 1 and not space.alone,
+            corners=(corners or all_machines) and space.corner_count > 1 and not space.serial,
         )
 
     @property

@@ -142,9 +142,9 @@ class Fastest:
         return None if self.fastest is None else self.fastest.high
 
     @property
-    def alone(self) -> tuple[float, ...]:
+    def isolated(self) -> tuple[float, ...]:
         """Isolated feeds, which pass while their close neighbours fail, the highest first."""
-        return tuple(interval.high for interval in self.intervals if interval.alone)
+        return tuple(interval.high for interval in self.intervals if interval.isolated)
 
 
 def check_range(low: float, high: float, unit: str) -> None:
@@ -363,11 +363,11 @@ def _searched_from_above(
         intervals = _bounded(verdict_at, feeds, _passes(verdict_at, feeds), edge_relative)
         expects(1)
         examined: list[Interval] = []
-        while intervals and all(part.alone for part in examined):
+        while intervals and all(part.isolated for part in examined):
             examined = held_parts(verdict_at, seen, intervals.pop(), edge_relative) + examined
-        if all(part.alone for part in examined):
+        if all(part.isolated for part in examined):
             return _searched(verdict_at, seen, feed_range, grid, expects)
-        highest_passing = max(part.high for part in examined if not part.alone)
+        highest_passing = max(part.high for part in examined if not part.isolated)
         gap = bisect_right(scan, highest_passing) - 1
         if gap in refined_gaps or gap == len(scan) - 1:
             return intervals + examined
@@ -456,7 +456,7 @@ def _bounded(
 
 def _first(intervals: Sequence[Interval]) -> Interval:
     """Return the first interval; an isolated feed only if there is no wider interval."""
-    return min(intervals, key=lambda interval: interval.alone)
+    return min(intervals, key=lambda interval: interval.isolated)
 
 
 def _gaps_to_refine(passes: Sequence[bool]) -> set[int]:

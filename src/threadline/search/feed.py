@@ -122,10 +122,10 @@ def feed_range_m_s(
         axes = machine.axis_names
         unit = as_f_words(1.0, rule)
         # F at which an axis alone has a speed: the time at F 1 for its distance in one second.
-        alone_s = feed_time_s(np.diag(speeds[0]), unit, axes, machine)
+        single_axis_s = feed_time_s(np.diag(speeds[0]), unit, axes, machine)
         together_s = feed_time_s(speeds[1:], unit, axes, machine)
         each_at_limit_s = feed_time_s(np.diag(speeds[1]), unit, axes, machine)
-        low, high = float(alone_s.max()), float(max(together_s.max(), each_at_limit_s.max()))
+        low, high = float(single_axis_s.max()), float(max(together_s.max(), each_at_limit_s.max()))
     else:
         low, high = (float((axis_speeds * machine.radius_m).max()) for axis_speeds in speeds)
     return _typed(low, math.ceil), _typed(high, math.floor)

@@ -319,7 +319,7 @@ def learn(
     return Learned(
         plan=learned, actual=run_machine, repeats=tuple(accounts), best=best,
         filters=learner.filters, rules=learner.rules,
-        proof=prove_plan(learned, spec, None, trials.alone, actual),
+        proof=prove_plan(learned, spec, None, trials.without_others, actual),
     )  # fmt: skip
 
 
@@ -346,7 +346,7 @@ def learned_verdict(
     verdicts: list[Verdict] = []
     for machine in machines:
         learned = learn(
-            learner, spec, actual=machine, repeats=repeats, trials=trials.alone
+            learner, spec, actual=machine, repeats=repeats, trials=trials.without_others
         ).proof.verdict
         if not learned.passed:
             return learned

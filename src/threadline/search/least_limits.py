@@ -205,7 +205,7 @@ def fastest_job(question: Question) -> FastestJob:
         parts = distinct_parts(job, machine, joined=options.product is not None)
         by_feed = ignores_limits(parts[0], machine, options)
     seen: dict[float, dict[float, Verdict]] = {}
-    scanned, limits_alone = in_one_run(question), _only_limits(question)
+    scanned, limits_only = in_one_run(question), _only_limits(question)
 
     def searched(share: float, grid: Grid, report: Progress | None) -> Fastest:
         part_question = scanned if parts == (job,) else of_a_part(scanned)
@@ -213,7 +213,7 @@ def fastest_job(question: Question) -> FastestJob:
         question_at_share = replace(part_question, options=with_share, progress=report)
         # The slow feeds of a winding take longest to judge, and are never the answer.
         every_interval = options.product is None and (by_feed or not shares.long)
-        examined_grid = replace(grid, every=every_interval, between=limits_alone)
+        examined_grid = replace(grid, every=every_interval, between=limits_only)
         return fastest_feed(question_at_share, examined_grid, parts, seen.setdefault(share, {}))
 
     def planned_s(share: float, feed: float) -> float:
@@ -225,8 +225,8 @@ def fastest_job(question: Question) -> FastestJob:
             None if found.best is None else planned_s(share, found.best)
         ),
         at_top_s=lambda share: planned_s(share, high),
-        expected=1 if by_feed or limits_alone else _STEPS,
-        progress=part_of(question.progress, 0.0, _OF_SEARCH if limits_alone else 1.0),
+        expected=1 if by_feed or limits_only else _STEPS,
+        progress=part_of(question.progress, 0.0, _OF_SEARCH if limits_only else 1.0),
         until=until,
     )
     tried, candidates = shares.tried, shares.candidates
@@ -234,7 +234,7 @@ def fastest_job(question: Question) -> FastestJob:
         if by_feed:
             tried(1.0, FINE)
         else:
-            _climb(tried, candidates, _LADDER[:1] if limits_alone else _LADDER)
+            _climb(tried, candidates, _LADDER[:1] if limits_only else _LADDER)
     except HaltError as halt:
         if not candidates:
             raise no_answer() from halt
@@ -271,9 +271,7 @@ def fastest_job(question: Question) -> FastestJob:
         in_one_run=scanned is not question,
         ended="" if until is None else until.ended,
         by=by,
-        enough=_enough(best, planned_s, question.progress)
-        if limits_alone and not stopped
-        else None,
+        enough=_enough(best, planned_s, question.progress) if limits_only and not stopped else None,
     )
 
 
@@ -346,8 +344,8 @@ def _only_limits(question: Question) -> bool:
     A machine without dynamics does not ring, so only a criterion of the specification could need
     less acceleration.
     """
-    limits_alone = all(one.hard or one.limit is None for one in question.spec.criteria)
-    return question.machine.without_dynamics and limits_alone
+    limits_only = all(one.hard or one.limit is None for one in question.spec.criteria)
+    return question.machine.without_dynamics and limits_only
 
 
 def _climb(

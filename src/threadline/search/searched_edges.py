@@ -31,7 +31,7 @@ def with_searched_edges(
     searched: Callable[[float, Verdict], Verdict],
     *,
     until: Deadline | None = None,
-    best_alone: bool = False,
+    best_only: bool = False,
 ) -> Fastest:
     """Return the result with ends of intervals that also pass a search for a failing run.
 
@@ -41,7 +41,7 @@ def with_searched_edges(
         Returns the verdict at a pace, as in the search of ``found``.
     searched
         Takes a pace and its verdict; returns the verdict after the search for a bad run.
-    best_alone
+    best_only
         Whether only the upper end of the fastest interval is searched.
 
     Raises
@@ -68,17 +68,17 @@ def with_searched_edges(
     kept_intervals: list[Interval] = []
     best_found = False
     for interval in found.intervals:
-        if best_found or (best_alone and interval.alone and not first.alone):
+        if best_found or (best_only and interval.isolated and not first.isolated):
             kept_intervals.append(interval)
             continue
         high = _held(verdict_at, interval.high, interval.low, found.edge)
         if high is None:
             continue
-        low = interval.low if best_alone else _held(verdict_at, interval.low, high, found.edge)
+        low = interval.low if best_only else _held(verdict_at, interval.low, high, found.edge)
         low = high if low is None else min(low, high)
-        alone = interval.alone or (low == high and interval.low < interval.high)
-        kept_intervals.append(Interval(low=low, high=high, alone=alone))
-        best_found = best_alone
+        isolated = interval.isolated or (low == high and interval.low < interval.high)
+        kept_intervals.append(Interval(low=low, high=high, isolated=isolated))
+        best_found = best_only
     return _with_kept(found, tuple(kept_intervals), searched_verdicts)
 
 

@@ -38,7 +38,7 @@ def in_one_run(question: Question) -> Question:
     Near a limit, a verdict over repeats takes hundreds of runs and a verdict over tolerances takes
     hundreds of machines, which is too slow for a winding.
     """
-    if question.options.product is None or question.trials != question.trials.alone:
+    if question.options.product is None or question.trials != question.trials.without_others:
         return question
     if question.trials == NOMINAL:
         return question
@@ -80,8 +80,8 @@ def with_searched_best(
 ) -> Candidate:
     """Return the best result with feeds that pass a search for a failing run.
 
-    ``candidates`` is updated. If the result of another share becomes the best, its feeds are searched next. Once the time is
-    over, nothing is searched.
+    ``candidates`` is updated. If the result of another share becomes the best, its feeds are searched
+    next. Once the time is over, nothing is searched.
 
     Parameters
     ----------
@@ -115,7 +115,7 @@ def _with_searched(
         return question.searched(planned_at(question, best.share, feed), verdict)
 
     fastest = with_searched_edges(
-        best.found, judged, searched, until=question.until, best_alone=seen is None
+        best.found, judged, searched, until=question.until, best_only=seen is None
     )
     if fastest.best is None or fastest.best == best.found.best:
         return replace(best, found=fastest, duration_s=best.duration_s if fastest.best else None)

@@ -112,8 +112,8 @@ class Scanner:
         self.systems = SystemsUsed()
         self._lengths = ToolLengths(file, reading.lengths)
         self._ended: tuple[Block, int] | None = None  # ending block, next byte
-        first_alone = reading.dialect.grammar.tape == "first"
-        self._tapes = Tapes(file, reading.dialect.name if first_alone else "")
+        first_line_only = reading.dialect.grammar.tape == "first"
+        self._tapes = Tapes(file, reading.dialect.name if first_line_only else "")
         self._begun = False
         self._later = False  # the current program is not the first of its file
         self._numbered: int | None = 0  # N of the last numbered line

@@ -26,7 +26,7 @@ _GRBL_AXES = "XYZABC"
 _DEVIATION = 11
 _GRBL = {100: "steps", 110: "rate", 120: "acceleration", 130: "travel"}
 _SETTING = re.compile(r"\$(\d{1,3})\s*=\s*([^\s(;,>]*)")
-_ALONE = re.compile(r"\$\d{1,3}$")  # query of a single setting in grblHAL
+_QUERY = re.compile(r"\$\d{1,3}$")  # query of a single setting in grblHAL
 _COMMENT = re.compile(r"\s*(?:[A-Za-z(;,>|/#<\[-].*)?$")
 _SETTING_AMID = re.compile(r"(?<![\w$])\$1[0-3]\d\s*=")
 _OPTIONS = re.compile(r"\[OPT:([A-Z+0-9]*)")
@@ -122,7 +122,7 @@ def _settings_of(line: DumpLine) -> list[DumpSetting]:
         if _SETTING_AMID.search(text.split(";", 1)[0]):
             raise unknown(text, line.place, "$110=5000.000, with nothing before the $")
         return []
-    if _ALONE.match(text):
+    if _QUERY.match(text):
         return []
     settings, position = [], 0
     while (match := _SETTING.match(text, position)) is not None:

@@ -357,11 +357,13 @@ def _planner(settings: Settings, turning: str) -> Iterator[str]:
     if settings.unheeded:
         texts = (f'"{_printable(text)}"' for text in settings.unheeded)
         yield f"left_out = [{', '.join(texts)}]"
-    alone = {key[-1]: value for key, value in planner.items() if key.startswith("alone.")}
-    if alone:
+    axis_accelerations = {
+        key[-1]: value for key, value in planner.items() if key.startswith("alone.")
+    }
+    if axis_accelerations:
         texts = (
             f'{axis} = "{_planner_value(value, f"{_unit(axis, turning)}/s^2", firmware)}"'
-            for axis, value in alone.items()
+            for axis, value in axis_accelerations.items()
         )
         yield f"alone = {{ {', '.join(texts)} }}"
     for key, unit in _PLANNER_KEYS[_PLANNERS[firmware]].items():

@@ -42,7 +42,7 @@ _WORD = re.compile(r"\s*([A-LN-Z])\s*(-?(?:\d+\.?\d*|\.\d+))(?![\d.])")
 _COMMENT = re.compile(r"\s*(?:$|[;#(<*/>-].*|=.*)")
 _HEEDED = (206, 420, 425, 493, 593, 665, 666, 852)
 _ASSUMED = "default of marlin"
-_ALONE = (2, 1, 3)
+_CORNERS_BY_JERK = (2, 1, 3)
 """First version in which axis acceleration does not bound the speed through a corner."""
 _DEFAULT_JERK = {FIRST: {"X": "20", "Y": "20", "Z": "0.4"}}
 _LATER_JERK = {"X": "10", "Y": "10", "Z": "0.3"}
@@ -278,7 +278,7 @@ def _set_corner_axes(settings: Settings, evidence: _Evidence) -> None:
         )
         return
     version, place = evidence.version
-    if version < _ALONE:
+    if version < _CORNERS_BY_JERK:
         settings.set_planner("corner_axes", "1", place, "Marlin " + ".".join(map(str, version)))
 
 

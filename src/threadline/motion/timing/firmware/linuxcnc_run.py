@@ -227,7 +227,7 @@ def motion(links, bow, cosine, rapid, tolerance, out, started):
         v = enter
         enter = _phases(extent[j] - place - tail, v, speed[j], leave, a, evenly, phases)
         begin = r
-        r, place = _alone(row, r, phases, place, v, lead[j], round_[j])
+        r, place = _write_phases(row, r, phases, place, v, lead[j], round_[j])
         if lasted > 0.0:
             r = _together(row, r, place, enter, a, _Next(lasted, rises, slope))
             enter = 0.0
@@ -244,7 +244,7 @@ def motion(links, bow, cosine, rapid, tolerance, out, started):
 
 
 @njit()
-def _alone(row, r, phases, place, v, lead, radius):
+def _write_phases(row, r, phases, place, v, lead, radius):
     """Write the phases of a piece from row ``r`` on; return the next row and place.
 
     On an arc of ``radius`` after a line of length ``lead`` a row ends after each ``_BEND``.
