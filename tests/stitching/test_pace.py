@@ -284,7 +284,7 @@ def test_the_beam_finds_the_fastest_of_all_schedules() -> None:
         found = fastest_turns(
             grid,
             pace._swings(grid),
-            TurnMoves(ways_m=units * 1e-4, needle=moves.needle, shortest_s=shortest_s),
+            TurnMoves(travels_m=units * 1e-4, needle=moves.needle, shortest_s=shortest_s),
             1e-4,
             pace.share,
         )

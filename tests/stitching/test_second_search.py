@@ -31,7 +31,7 @@ def test_schedule_keeps_the_tolerance_of_the_swing() -> None:
     ways[:, 0] = np.array(LENGTHS) * 1e-4
     share, tolerance_m = 1.0 / 3.0, 1e-4
     problem = Problem(
-        ways_m=ways,
+        travels_m=ways,
         needle=np.ones(len(LENGTHS), dtype=np.int64),
         shortest_s=np.full(len(LENGTHS), 0.36),
         share=share,

@@ -191,8 +191,8 @@ def _of_kind(machine: Machine, kind: str) -> list[str]:
 def _dwell_ms(machine: Machine) -> int:
     """Return the longest of the minimum times between two switchings of a valve, ms."""
     assert machine.plc is not None
-    ways = [way for c in machine.cylinders.values() for way in (c.forward, c.back)]
-    dwells_s = [machine.plc.dwell.si, *(way.least_hold_s(machine.plc) for way in ways)]
+    strokes = [way for c in machine.cylinders.values() for way in (c.forward, c.back)]
+    dwells_s = [machine.plc.dwell.si, *(way.least_hold_s(machine.plc) for way in strokes)]
     return math.ceil(1000.0 * max(dwells_s) - 1e-9)
 
 

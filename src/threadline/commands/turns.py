@@ -237,8 +237,8 @@ class Stitched:
     @property
     def longest_move_m(self) -> float:
         """Longest travel of an axis from stitch to stitch, m."""
-        ways = np.abs(self.turns.moves.units[self.frame_moves == 1])
-        return float(ways.max(initial=0)) * self.pace.tables.unit.si
+        travels = np.abs(self.turns.moves.units[self.frame_moves == 1])
+        return float(travels.max(initial=0)) * self.pace.tables.unit.si
 
     @property
     def steps_per_unit(self) -> int:
@@ -248,8 +248,8 @@ class Stitched:
     @property
     def places_m(self) -> FloatArray:
         """(n, A) position of the frame after each turn, m."""
-        ways = np.cumsum(self.turns.moves.units, axis=0)
-        return np.asarray(ways * self.pace.tables.unit.si + np.array(self.job.start))
+        sums = np.cumsum(self.turns.moves.units, axis=0)
+        return np.asarray(sums * self.pace.tables.unit.si + np.array(self.job.start))
 
     def lines_of(self, job: Job, operations: Collection[int]) -> dict[int, int]:  # noqa: ARG002
         """Return the record of each operation, 0 for an operation without one."""

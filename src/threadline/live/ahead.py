@@ -18,7 +18,7 @@ from threadline.live.braking import (
     CountLimits,
     brake,
     change_rate,
-    gentle_ticks,
+    gentle_hold_ticks,
     most_changed,
 )
 from threadline.live.feed_override import feed_words
@@ -92,7 +92,7 @@ class Ahead:
         self._given: list[tuple[int, Event]] = []  # sent events, and their ticks
         self._window.reach(MOST_PLACES)
         self.to_rest = self.gently = False
-        self._held_ticks = gentle_ticks(float(machine.tick_clock.period_s))
+        self._held_ticks = gentle_hold_ticks(float(machine.tick_clock.period_s))
         self._before_cut: tuple[Any, ...] | None = None
 
     @property

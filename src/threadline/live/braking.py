@@ -20,7 +20,7 @@ from threadline.base.compiled import njit
 from threadline.dynamics.analysis import fastest
 from threadline.machine import Machine
 
-GENTLE_S = 0.5
+GENTLE_HOLD_S = 0.5
 """Duration of the braking and of the restart of a gentle hold, s: loops catch up their lag in
 it."""
 _DURATIONS = (1.0, 2.0, 3.0, 4.0, 6.0, 8.0, 11.0, 16.0, 22.0, 32.0, 45.0, 64.0, 90.0, 128.0, 256.0)
@@ -171,9 +171,9 @@ def _fall(previous: float, place: float, ticks: float) -> FloatArray:
     return np.asarray(place + rate * ticks * _FALLS[ticks])
 
 
-def gentle_ticks(tick_s: float) -> float:
-    """Return the shortest braking of a gentle hold in ticks: ``GENTLE_S``, or the longest known."""
-    return next((ticks for ticks in _DURATIONS if ticks * tick_s >= GENTLE_S), _DURATIONS[-1])
+def gentle_hold_ticks(tick_s: float) -> float:
+    """Return the shortest braking of a gentle hold in ticks: about ``GENTLE_HOLD_S``."""
+    return next((ticks for ticks in _DURATIONS if ticks * tick_s >= GENTLE_HOLD_S), _DURATIONS[-1])
 
 
 def brake(
@@ -190,7 +190,7 @@ def brake(
     limits
         Limits of the axes. If no duration keeps them, the duration that exceeds them least is used.
     gently
-        Shortest duration, in ticks, at most that of ``gentle_ticks``; 0 for as short as the limits
+        Shortest duration, in ticks, at most ``gentle_hold_ticks``; 0 for as short as the limits
         allow.
     """
     second_last, previous, now = before

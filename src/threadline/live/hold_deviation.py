@@ -26,7 +26,7 @@ from threadline.live.braking import (
     CountLimits,
     brake,
     change_rate,
-    gentle_ticks,
+    gentle_hold_ticks,
     most_changed,
     rise,
 )
@@ -230,7 +230,9 @@ def _spoiled(plan: Plan, spec: Spec, window: PathWindow, places: FloatArray) -> 
 
 def _gently(plan: Plan, hold: Hold) -> float:
     """Return the shortest duration of the braking of a hold, in ticks."""
-    return gentle_ticks(float(plan.machine.tick_clock.period_s)) if hold is Hold.GENTLY else 0.0
+    return (
+        gentle_hold_ticks(float(plan.machine.tick_clock.period_s)) if hold is Hold.GENTLY else 0.0
+    )
 
 
 def _held_places(
@@ -381,7 +383,7 @@ def hold_words(
         shaken = f"braking at full speed would shake the load ({criteria_words})"
         if hold is Hold.GENTLY:
             tick_s = float(plan.machine.tick_clock.period_s)
-            braking_s = gentle_ticks(tick_s) * tick_s
+            braking_s = gentle_hold_ticks(tick_s) * tick_s
             return f"{shaken}, so a hold brakes within {braking_s:.2g} s; STOP brakes at once"
         when = "at the next rest" if rests_within(plan) else "at the end, for there is no rest"
         return f"{shaken}, so a hold stands {when}"

@@ -317,8 +317,8 @@ def stitch_rows(plan: Plan) -> list[list[str]]:
         ],
         [
             "Each stitch alone",
-            f"{stitched.independent_s:.4g} s, if the spindle had no inertia and earlier stitches left "
-            "no swing; this is not a plan",
+            f"{stitched.independent_s:.4g} s, if the spindle had no inertia and earlier stitches "
+            "left no swing; this is not a plan",
         ],
     ]
 

@@ -80,8 +80,8 @@ def with_searched_best(
 ) -> Candidate:
     """Return the best result with feeds that pass a search for a failing run.
 
-    ``candidates`` is updated. If the result of another share becomes the best, its feeds are searched
-    next. Once the time is over, nothing is searched.
+    ``candidates`` is updated. If the result of another share becomes the best, its feeds are
+    searched next. Once the time is over, nothing is searched.
 
     Parameters
     ----------
