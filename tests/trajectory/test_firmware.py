@@ -74,7 +74,7 @@ def planned(
         np.array(velocity[: len(axes)], dtype=float),
         np.array(acceleration[: len(axes)], dtype=float),
     )
-    return list(trapezoids.moves_of(rules).extend(block, slice(0, count), ends=True))
+    return list(trapezoids.moves_of(rules).extend(block, slice(0, count), is_last=True))
 
 
 def times(blocks, count):
@@ -192,7 +192,7 @@ def test_moves_in_parts_are_those_of_the_whole(
             dwell_s=np.zeros(1),
             line=np.array([k]),
         )
-        parts += list(run.extend(block, slice(0, 1), ends=k == 399))
+        parts += list(run.extend(block, slice(0, 1), is_last=k == 399))
     assert len(parts) > 10  # they do come in parts
     np.testing.assert_allclose(times(parts, 400), whole, rtol=1e-9)
 

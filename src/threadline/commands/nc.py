@@ -225,7 +225,7 @@ class _Writer:
         )
         if self._linuxcnc:
             yield self._numbered(self._words("G", 64), f"P{self._blend}")
-        ended = False
+        has_end = False
         for item in items:
             if isinstance(item, Loop):
                 label = self._bodies.setdefault(item.body, MAIN_LABEL + 1 + len(self._bodies))
@@ -244,8 +244,8 @@ class _Writer:
                 self._forget()
             else:
                 yield from self._block(item)
-                ended = item.final
-        if not ended:
+                has_end = item.final
+        if not has_end:
             yield self._numbered(self._words("M", 30))
         for body, label in self._bodies.items():
             yield f"O{self._blank}{label}{self._end}"

@@ -29,16 +29,16 @@ class ShortTable:
     ----------
     rows
         Number of rows of the shorter table.
-    begun, ended
-        (k, axes) corrections of the references: ``begun`` from tick 0 on, ``ended`` for the last
-        references up to the end of the last row.
+    start_change, end_change
+        (k, axes) corrections of the references: ``start_change`` from tick 0 on, ``end_change``
+        for the last references up to the end of the last row.
     ends
         Table ends of each axis; empty for an axis without.
     """
 
     rows: int
-    begun: FloatArray
-    ended: FloatArray
+    start_change: FloatArray
+    end_change: FloatArray
     ends: tuple[tuple[TableEnd, ...], ...]
 
     def demands(self, whole: Sequence[Demand]) -> tuple[Demand, ...]:
@@ -144,7 +144,7 @@ def short_table(
     if ticks - least + count > _KEPT_TICKS:
         return None
     begun = {
-        k: end.begun(inverse_ends[k].from_start(count, end.memory), count, rest_si[0, k])
+        k: end.first_references(inverse_ends[k].from_start(count, end.memory), count, rest_si[0, k])
         for k, end in ends.items()
     }
     # Ends close to each other err at the same time: their errors add up.
@@ -153,7 +153,7 @@ def short_table(
         found: dict[int, tuple[TableEnd, TableEnd]] = {}
         for k, end in ends.items():
             tail = inverse_ends[k].to_end(rows - count, end.memory)
-            start, stop = begun[k], end.ended(tail, count, rest_si[1, k])
+            start, stop = begun[k], end.last_references(tail, count, rest_si[1, k])
             if start is None or stop is None:
                 break
             found[k] = start, stop
@@ -169,11 +169,14 @@ def short_table(
 def _table(
     rows: int, count: int, axes: int, found: dict[int, tuple[TableEnd, TableEnd]]
 ) -> ShortTable:
-    begun, ended = np.zeros((count + 1, axes)), np.zeros((count + 1, axes))
+    start_change, end_change = np.zeros((count + 1, axes)), np.zeros((count + 1, axes))
     for k, (start, end) in found.items():
-        begun[:, k], ended[:, k] = start.more_si[: count + 1], end.more_si[: count + 1]
+        start_change[:, k], end_change[:, k] = start.more_si[: count + 1], end.more_si[: count + 1]
     return ShortTable(
-        rows=rows, begun=begun, ended=ended, ends=tuple(found.get(k, ()) for k in range(axes))
+        rows=rows,
+        start_change=start_change,
+        end_change=end_change,
+        ends=tuple(found.get(k, ()) for k in range(axes)),
     )
 
 
@@ -193,7 +196,10 @@ def _shortened(references: Trajectory, table: ShortTable) -> Iterator[Trajectory
         coefficients = block.coefficients[:count].copy()
         at = np.arange(row, row + count + 1)
         more = np.zeros((count + 1, coefficients.shape[2]))
-        for start, change in ((0, table.begun), (table.rows + 1 - len(table.ended), table.ended)):
+        for start, change in (
+            (0, table.start_change),
+            (table.rows + 1 - len(table.end_change), table.end_change),
+        ):
             inside = (at >= start) & (at < start + len(change))
             more[inside] += change[at[inside] - start]
         coefficients[:, 0] += more[:-1]

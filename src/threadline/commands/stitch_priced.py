@@ -62,7 +62,7 @@ class _Stretch(NamedTuple):
         (K,) 1 where the needle enters.
     fresh
         (K, C, M) swing at the end of a move of 1 m.
-    ends
+    is_last
         Whether the design ends with the stretch.
     """
 
@@ -71,7 +71,7 @@ class _Stretch(NamedTuple):
     travels_m: FloatArray
     needle: IntArray
     fresh: ComplexArray
-    ends: bool
+    is_last: bool
 
 
 class _Watched(NamedTuple):
@@ -243,7 +243,7 @@ def priced_turns(
         travels_m=limits.travels_m[first:stop],
         needle=limits.needle[first:stop],
         fresh=np.ascontiguousarray(fresh[lower] * (1.0 - part) + fresh[lower + 1] * part),
-        ends=stop == len(turns),
+        is_last=stop == len(turns),
     )
     begin = swings_before(first, turns, limits, swung)[columns]
     before_s = float(turns[first - 1]) if first > 0 else 0.0
@@ -296,7 +296,7 @@ def _cost_to_go(
 ) -> _CostToGo:
     """Return the least cost from each time of each turn to the end of the stretch."""
     choice, counts, needle = stretch.choice_s, stretch.counts, stretch.needle
-    travels_m, fresh, ends = stretch.travels_m, stretch.fresh, stretch.ends
+    travels_m, fresh, is_last = stretch.travels_m, stretch.fresh, stretch.is_last
     poles, late, axis, bounding = watched.poles, watched.late, watched.axis, watched.bounding
     share, tolerance_m, price_s = limits.share, request.tolerance_m, request.price_s
     turns = len(counts)
@@ -304,7 +304,7 @@ def _cost_to_go(
     to_go = np.full(choice.shape, np.inf)
     square, most = choice**-2.0, limits.change * _SLACK
     for i in range(counts[-1]):
-        to_go[-1, i] = (1.0 - share) * choice[-1, i] if ends else 0.0
+        to_go[-1, i] = (1.0 - share) * choice[-1, i] if is_last else 0.0
     for k in range(turns - 2, -1, -1):
         judged = needle[k] == 1 and needle[k + 1] == 1
         for i in range(counts[k]):

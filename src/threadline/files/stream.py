@@ -77,7 +77,7 @@ class KeptStream(Stream[SizedT]):
 
     MOST_KEPT = 2048
 
-    __slots__ = ("_ended", "_items", "_lock", "_rows", "_source")
+    __slots__ = ("_exhausted", "_items", "_lock", "_rows", "_source")
 
     def __init__(
         self, function: Callable[P, Iterator[SizedT]], *arguments: P.args, **keywords: P.kwargs
@@ -89,11 +89,11 @@ class KeptStream(Stream[SizedT]):
         self._items: list[SizedT] = []  # blocks computed so far
         self._source: Iterator[SizedT] | None = None  # computes the following blocks
         self._rows = 0  # if it exceeds ``MOST_KEPT``, every reading computes its own blocks
-        self._ended = False
+        self._exhausted = False
         self._lock = Lock()
 
     def __iter__(self) -> Iterator[SizedT]:
-        return iter(tuple(self._items)) if self._ended else self._reading()
+        return iter(tuple(self._items)) if self._exhausted else self._reading()
 
     def __getstate__(self) -> dict[str, Any]:
         return {name: getattr(self, name) for name in Stream.__slots__}
@@ -113,7 +113,7 @@ class KeptStream(Stream[SizedT]):
             with self._lock:
                 if yielded_count < len(items):
                     continue
-                if self._ended:
+                if self._exhausted:
                     return
                 remaining = (
                     self._extend() if self._rows <= self.MOST_KEPT else self._behind(yielded_count)
@@ -137,7 +137,7 @@ class KeptStream(Stream[SizedT]):
         if item is not None and rows + item_rows > self.MOST_KEPT:
             self._items = []  # readers hold their own reference to the old list
             return chain((item,), source)
-        self._ended = item is None
+        self._exhausted = item is None
         if item is not None:
             self._items.append(item)
             self._source, self._rows = source, rows + item_rows

@@ -203,7 +203,7 @@ def _spoiled(plan: Plan, spec: Spec, window: PathWindow, places: FloatArray) -> 
     tick_block = TickBlock(first_tick=0, counts=counts, operation=operations)
     simulated = simulate(replace(table, blocks=Stream.of([tick_block])), plan.machine)
     pace, tick_count = Pace(table.clock), len(counts)
-    events = (*pace.played(0, places[1:]), *pace.ended(tick_count, 1))
+    events = (*pace.played(0, places[1:]), *pace.after_end(tick_count, 1))
     recording = replace(
         simulated, blocks=Stream(_with_events, simulated.blocks, events, table.clock.name)
     )

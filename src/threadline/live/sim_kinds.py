@@ -176,7 +176,7 @@ class SimRows(SimMachine):
         block = session.advance(ticks=ticks)
         passed_ticks = self.tick - first
         if self._last:
-            return _telling(block, self._pace.ended(first, passed_ticks))
+            return _telling(block, self._pace.after_end(first, passed_ticks))
         return _telling(block, self._pace.stood(first, passed_ticks) if is_waiting else ())
 
 

@@ -107,7 +107,7 @@ def over_tolerances(
     search.begin()
     drawn_count = 0
     at_once = _AT_ONCE_SERIAL if hasty and not within.together else machines
-    while drawn_count < machines and not search.ended:
+    while drawn_count < machines and not search.is_over:
         indices = np.arange(drawn_count, min(drawn_count + at_once, machines))
         search.draw(within.with_products(drawn(plan.machine, VARIANT_SEED, indices), indices))
         drawn_count += len(indices)

@@ -138,8 +138,8 @@ class Judge:
         plan, spec = self.plan, self.spec
         findings, runs, readers = self._measured(recordings, recorded=recorded)
         for other in others:
-            measured, _, ended = self._measured([other], together=False, recorded=recorded)
-            readers = [*readers, *ended]
+            measured, _, more_readers = self._measured([other], together=False, recorded=recorded)
+            readers = [*readers, *more_readers]
             for key, found in measured.items():
                 if key not in self._of_plan:
                     findings[key] = joined(findings.get(key, []), found)

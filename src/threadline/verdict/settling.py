@@ -321,7 +321,7 @@ class _Ripple:
         wanted = path.speed_m_s[begin]
         part = _part(path.vertices, path.speed_m_s)
         free = (part[begin] == part[end]) & (wanted > 0) & ~held[skipped:]
-        if path.ended and block.commanded is not None:
+        if path.exhausted and block.commanded is not None:
             # Once the command has arrived, no speed is expected any more.
             left = path.vertices[-1] - block.commanded[skipped:] * self._radius_m
             free &= np.linalg.norm(left, axis=1) > _ARRIVED * wanted * self._interval_s

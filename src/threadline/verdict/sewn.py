@@ -159,7 +159,7 @@ class StitchFollower:
         self._over_s, self._figures = over_s, figures
         self._clock, self._begun_s = SewnClock(), np.full(_TO_SPEED, -np.inf)
         self._pending: list[Stitches] = []
-        self._ended = False
+        self._exhausted = False
         self._time_s: FloatArray = np.empty(0)
         self._points: FloatArray = np.empty((0, len(self._columns), setting.runs))
         self._bows, self._speeds_m_s = bows(setting), self._points
@@ -222,10 +222,10 @@ class StitchFollower:
         return rows if every < 2 else np.unique(np.append(rows[::every], rows[-1]))
 
     def _pull(self, runs: int) -> None:
-        while len(self._pending) < runs and not self._ended:
+        while len(self._pending) < runs and not self._exhausted:
             run = next(self._source, None)
             if run is None:
-                self._ended = True
+                self._exhausted = True
             else:
                 self._pending.append(run)
 

@@ -55,10 +55,10 @@ def followed_blocks(path: PlannedPath, machine: Machine) -> Iterator[TrajectoryB
         stops = np.flatnonzero(block.rest_after)
         first = 0
         for stop in stops:
-            yield from run.extend(block, first, int(stop) + 1, ends=True)
+            yield from run.extend(block, first, int(stop) + 1, is_last=True)
             first = int(stop) + 1
         if first < len(block):
-            yield from run.extend(block, first, len(block), ends=False)
+            yield from run.extend(block, first, len(block), is_last=False)
 
 
 def _refuse_endless(smoothing: Smoothing, machine: Machine, axes: tuple[str, ...]) -> None:
@@ -92,7 +92,7 @@ class _Run:
     smoother: Smoother | None = None
 
     def extend(
-        self, block: PieceBlock, first: int, stop: int, *, ends: bool
+        self, block: PieceBlock, first: int, stop: int, *, is_last: bool
     ) -> Iterator[TrajectoryBlock]:
         """Add pieces ``first`` to ``stop`` and yield the part that is settled."""
         rows = slice(first, stop)
@@ -108,8 +108,8 @@ class _Run:
         if self.smoother is None and len(self.pending):
             start, operation = self.pending.c[0, 0], int(self.pending.operation[0])
             self.smoother = Smoother(self.allowed.smoothing, start, operation)
-        yield from self._advance(ends)
-        if not ends:
+        yield from self._advance(is_last)
+        if not is_last:
             return
         end_position = coefficients[-1].sum(axis=0)
         if self.smoother is not None:
@@ -123,10 +123,10 @@ class _Run:
         self.pending, self.smoother, self.run_over = None, None, 0
         self.speed, self.time_s, self.done = 0.0, 0.0, 0
 
-    def _advance(self, ends: bool) -> Iterator[TrajectoryBlock]:
+    def _advance(self, is_last: bool) -> Iterator[TrajectoryBlock]:
         if self.pending is None or not len(self.pending):
             return
-        p = self.pending = divide(self.pending, self.allowed, ends=ends)
+        p = self.pending = divide(self.pending, self.allowed, is_last=is_last)
         factor = factors(p.c, self.allowed.radius)
         cap = caps(p, factor, self.allowed)
         # Finished pieces are never whole: their number does not change.
@@ -142,7 +142,7 @@ class _Run:
         largest_x = np.zeros((count, profile.PARTS + 1))
         profile.backward(run, self.limits, 0.0, largest_x, False)
         settled_count = count
-        if not ends:
+        if not is_last:
             settled_count = profile.backward(run, self.limits, np.inf, largest_x, True)
             # Later pieces may still lower the caps of the last stretch.
             length_left = np.cumsum(p.length[unfinished][::-1])[::-1]

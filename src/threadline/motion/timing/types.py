@@ -210,7 +210,7 @@ class TrajectoryReader:
         self._source = iter(trajectory)
         self._axes = len(trajectory.axes)
         self._blocks: list[TrajectoryBlock] = []
-        self._ended = False
+        self._exhausted = False
 
     def derivatives(self, time_s: FloatArray, orders: int) -> FloatArray:
         """Return the (n, orders, axes) position and derivatives at (n,) ascending times."""
@@ -239,10 +239,10 @@ class TrajectoryReader:
             self._blocks.pop(0)
 
     def _reach(self, time_s: float) -> None:
-        while not self._ended and (not self._blocks or self._blocks[-1].end_s < time_s):
+        while not self._exhausted and (not self._blocks or self._blocks[-1].end_s < time_s):
             block = next(self._source, None)
             if block is None:
-                self._ended = True
+                self._exhausted = True
             elif len(block):
                 self._blocks.append(block)
 
