@@ -124,9 +124,9 @@ def test_functions_are_compiled_each_time_without_a_writable_folder(
     (tmp_path / "a file").write_text("")
     monkeypatch.setattr("numba.config.CACHE_DIR", str(tmp_path / "a file" / "numba"))
     monkeypatch.setattr("numba.core.caching.CacheImpl._locator_classes", [UserProvidedCacheLocator])
-    monkeypatch.setattr(COMPILING, "kept", True)
+    monkeypatch.setattr(COMPILING, "cached", True)
     assert njit()(lambda x: 2.0 * x)(1.5) == 3.0
-    assert not COMPILING.kept and cache_folder(cache) is None
+    assert not COMPILING.cached and cache_folder(cache) is None
 
 
 def test_two_that_write_at_once_never_take_the_code_of_each_other(tmp_path: Path) -> None:

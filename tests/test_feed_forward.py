@@ -173,9 +173,9 @@ def test_pictures_are_drawn_against_the_intended(proof, plan):
 
 def test_long_jobs_stream(plan, machine, seam, monkeypatch):
     """Nothing is kept, few rows and samples exist at once, and the commands are the same."""
-    monkeypatch.setattr(averaged, "KEPT", 0)
+    monkeypatch.setattr(averaged, "MOST_CACHED", 0)
     monkeypatch.setattr(averaged, "CHUNK", 100)
-    monkeypatch.setattr(targets, "KEPT", 0)
+    monkeypatch.setattr(targets, "MOST_CACHED", 0)
     monkeypatch.setattr(targets, "ROWS", 64)
     streamed = plan_job(read_job(seam, machine), machine, AHEAD)
     assert len(list(streamed.motion.trajectory)) > 10 > len(list(plan.motion.trajectory))

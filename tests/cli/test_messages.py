@@ -165,7 +165,7 @@ def test_the_first_run_on_a_computer_says_once_that_it_compiles(
     """A function without a cache stands for those on a new computer; the seconds are 0 here."""
     monkeypatch.setattr(messages, "LOOK_S", 0.01)
     monkeypatch.setattr(messages, "COMPILING_S", 0.0)
-    monkeypatch.setattr(COMPILING, "kept", kept)
+    monkeypatch.setattr(COMPILING, "cached", kept)
     before_s, before = COMPILING.lasted_s(), COMPILING.functions
     with messages.telling():
         time.sleep(0.1)

@@ -14,7 +14,7 @@ from threadline.files import Event, Stream, TickBlock, TickTable
 from threadline.live.executor import Executor
 from threadline.live.sim_machine import SimFault
 from threadline.live.sim_process import simulated_of
-from threadline.live.states import Desk, Kept
+from threadline.live.states import Desk, MemorySink
 from threadline.live.wire import Message, decoded
 from threadline.machine import Machine, load_machine
 
@@ -110,7 +110,7 @@ class Bench:
         fault: SimFault | None = None,
         same: bool = False,
     ) -> None:
-        self.desk, self.kept = Desk(), Kept()
+        self.desk, self.kept = Desk(), MemorySink()
         self.is_machine = other if same and other is not None else winder()
         self.wire = Wire(other or winder(), start, fault)
         self.executor = Executor(

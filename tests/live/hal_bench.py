@@ -34,7 +34,7 @@ from threadline.live.hal_session import (
     remove_left,
     words_to_end,
 )
-from threadline.live.states import Desk, Kept
+from threadline.live.states import Desk, MemorySink
 from threadline.live.wire import Connection
 from threadline.machine import Machine
 
@@ -192,9 +192,9 @@ def execute(
     at_tick: Callable[[Executor, Desk], None],
     *,
     may_stand_still: bool = False,
-) -> tuple[Executor, Kept]:
+) -> tuple[Executor, MemorySink]:
     """Run a table to its end; a sleep of the computer is an error unless a test causes it."""
-    kept, desk = Kept(), Desk()
+    kept, desk = MemorySink(), Desk()
     executor = Executor(Connection(end), machine, desk, kept, speed=1.0)
     executor.connect()
     executor.enable()

@@ -27,7 +27,7 @@ from threadline.live.executor import Executor
 from threadline.live.kinds_run import run_kind_of
 from threadline.live.sim_machine import SimMachine
 from threadline.live.sim_process import simulated_of
-from threadline.live.states import Desk, Hold, Kept
+from threadline.live.states import Desk, Hold, MemorySink
 from threadline.live.wire import Connection, Message
 from threadline.machine import Machine, load_machine
 from threadline.proof.options import Options
@@ -134,9 +134,9 @@ def forked_link(_program: str, request: tuple[Any, ...]) -> Iterator[Connection]
 
 def execute(
     end: socket.socket, which: Case, at_tick: Callable[[int], object]
-) -> tuple[Executor, Kept]:
+) -> tuple[Executor, MemorySink]:
     """Run a case to its end, or to the end of the link."""
-    kept, desk = Kept(), Desk()
+    kept, desk = MemorySink(), Desk()
     executor = Executor(Connection(end), which.machine, desk, kept, speed=0.0)
     executor.connect()
     executor.enable()
@@ -175,7 +175,7 @@ def kill_executor(which: Case, tick: int, box: Path) -> dict[str, np.ndarray]:
         return {name.removeprefix("c_"): np.array(kept[name]) for name in kept.files}
 
 
-def kill_machine(which: Case, tick: int) -> tuple[Executor, Kept]:
+def kill_machine(which: Case, tick: int) -> tuple[Executor, MemorySink]:
     """Kill the machine's process at a tick; return the executor and its recording."""
     ours, theirs = socket.socketpair()
 

@@ -22,7 +22,7 @@ from threadline.live.derived import Rest
 from threadline.live.kinds_run import run_kind_of
 from threadline.live.sim_machine import parse_fault
 from threadline.live.sim_process import group_ticks
-from threadline.live.states import Cause, Desk, Kept
+from threadline.live.states import Cause, Desk, MemorySink
 from threadline.live.store.run_store import RunStore
 from threadline.live.supervised import Conduct, run_commands
 from threadline.machine import load_machine
@@ -67,7 +67,7 @@ def run(
     """Run a plan, or its rest, on a machine that was just switched on."""
     machine = plan.machine
     found = None if fault is None else parse_fault(f"{fault}", machine)
-    wire, kept = Wire(machine, run_kind_of(machine).start(plan.commands), found), Kept()
+    wire, kept = Wire(machine, run_kind_of(machine).start(plan.commands), found), MemorySink()
     wire.group = group_ticks(machine, 0.0)  # as the process of the machine has it
     with closing(Desk()) as desk:
         if asked is not None:
@@ -223,7 +223,7 @@ def test_nothing_moves_until_somebody_confirms(answer: bool | None, asked: Cause
                 desk.ask(asked)
 
             ended, why, _ = run_commands(
-                plan.commands, machine, nullcontext(wire), desk, Kept(),  # type: ignore[arg-type]
+                plan.commands, machine, nullcontext(wire), desk, MemorySink(),  # type: ignore[arg-type]
                 Conduct(again=again, confirmed=stopped), speed=0.0,
             )  # fmt: skip
         assert looks
@@ -246,7 +246,7 @@ def test_a_stop_on_the_approach_ends_it() -> None:
 
         wire.before_play = later
         ended, why, _ = run_commands(
-            plan.commands, machine, nullcontext(wire), desk, Kept(),  # type: ignore[arg-type]
+            plan.commands, machine, nullcontext(wire), desk, MemorySink(),  # type: ignore[arg-type]
             Conduct(again=again), speed=0.0,
         )  # fmt: skip
     assert ended is RunEnd.STOPPED

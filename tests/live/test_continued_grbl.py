@@ -22,7 +22,7 @@ from threadline.files.formats import read_recording
 from threadline.live.continuing import continued_by
 from threadline.live.grbl_program import rest_of_program, written_program
 from threadline.live.links import link_of
-from threadline.live.states import Cause, Desk, Kept
+from threadline.live.states import Cause, Desk, MemorySink
 from threadline.live.supervised import Conduct
 from threadline.proof.options import Options
 from threadline.proof.pipeline import open_job, plan_job
@@ -222,7 +222,7 @@ def test_nothing_is_sent_until_somebody_confirms(answer: bool | None) -> None:
     model = GrblModel(settings())
     model.start()
     link = link_of(f"grbl:{model.address}", MACHINE, 1.0, None)
-    desk, kept = Desk(), Kept()
+    desk, kept = Desk(), MemorySink()
 
     def confirmed() -> bool | None:
         looks.append(1)

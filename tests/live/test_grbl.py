@@ -23,7 +23,7 @@ from threadline.live.grbl_settings import units_of
 from threadline.live.grbl_words import Program, program_of, runs_out, status_of
 from threadline.live.links import link_of
 from threadline.live.port import Port
-from threadline.live.states import Cause, Desk, Kept, State
+from threadline.live.states import Cause, Desk, MemorySink, State
 from threadline.machine import Machine, load_machine
 from threadline.proof.options import Options
 from threadline.proof.pipeline import open_job, plan_job
@@ -59,9 +59,9 @@ def patient(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @contextmanager
-def meeting(model: GrblModel) -> Iterator[tuple[GrblRun, Desk, Kept]]:
+def meeting(model: GrblModel) -> Iterator[tuple[GrblRun, Desk, MemorySink]]:
     model.start()
-    desk, kept, port = Desk(), Kept(), Port(model.address)
+    desk, kept, port = Desk(), MemorySink(), Port(model.address)
     try:
         yield GrblRun(Controller(port, MACHINE), desk, kept), desk, kept
     finally:

@@ -19,7 +19,7 @@ from threadline.live import grbl_run
 from threadline.live.grbl_controller import Controller
 from threadline.live.grbl_words import settings_of, status_of
 from threadline.live.port import Port
-from threadline.live.states import Cause, Desk, Kept, State
+from threadline.live.states import Cause, Desk, MemorySink, State
 
 SOON_S = 60.0  # for a busy computer; without this limit the wait never ends
 
@@ -161,7 +161,7 @@ def test_flood_of_text_from_the_controller_does_not_block_the_operator(content: 
     """The operator, who may have asked for a stop, is served in between."""
     with flooding(content) as address:
         port, desk = Port(address), Desk()
-        one = grbl_run.GrblRun(Controller(port, MACHINE), desk, Kept())
+        one = grbl_run.GrblRun(Controller(port, MACHINE), desk, MemorySink())
         one.state = State.RUNNING
         one._heard_s = began = time.monotonic()
         one._listen()

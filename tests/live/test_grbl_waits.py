@@ -35,7 +35,7 @@ from threadline.live.grbl_words import in_words, status_of
 from threadline.live.guards import clock_s
 from threadline.live.links import link_of
 from threadline.live.sim_process import SLOWER
-from threadline.live.states import Cause, Desk, Kept, State
+from threadline.live.states import Cause, Desk, MemorySink, State
 from threadline.live.supervised import Conduct
 from threadline.proof.options import Options
 from threadline.proof.pipeline import open_job, plan_job
@@ -340,7 +340,7 @@ def test_a_run_is_repeated_by_an_approach(approach: bool) -> None:
         desk.ask(Cause.STOP)
 
     def run() -> RunEnd:
-        return link.run(plan, desk, Kept(), Conduct(watch=stop))[0]
+        return link.run(plan, desk, MemorySink(), Conduct(watch=stop))[0]
 
     try:
         if approach:
@@ -413,7 +413,7 @@ def test_a_hold_by_the_button_before_a_stop_stays() -> None:
 # --- changes at the controller -------------------------------------------------------------
 
 
-def noted(kept: Kept) -> list[tuple[str, str]]:
+def noted(kept: MemorySink) -> list[tuple[str, str]]:
     return [(e.kind, e.name) for block in kept.blocks for e in block.events]
 
 

@@ -37,7 +37,7 @@ from threadline.live.derived import rest_of_rows
 from threadline.live.executor import Executor
 from threadline.live.hal_rows import HalRows
 from threadline.live.hal_session import STREAMER_KEY, HalSession, in_use
-from threadline.live.states import Cause, Desk, Kept, State
+from threadline.live.states import Cause, Desk, MemorySink, State
 from threadline.live.supervised import Conduct, run_commands
 from threadline.live.wire import Connection, Message
 from threadline.machine import Machine, load_machine
@@ -202,7 +202,7 @@ def test_a_stop_brakes_along_the_path_and_the_rest_is_done(tmp_path: Path) -> No
     assert rest.left_out >= 50
     begins = [int(count) for count in rest.begins]
     approach = list(zip(winder().axes, begins, strict=True))
-    again, more = Continued(rest=rest, line=0, approach=approach, notes=()), Kept()
+    again, more = Continued(rest=rest, line=0, approach=approach, notes=()), MemorySink()
     with (
         bridge(winder(), ZERO, tmp_path / "rest", plant=False) as far,
         closing(Desk()) as desk,
@@ -238,7 +238,7 @@ def test_a_jog_at_manual_feed_ends_by_itself(gone: bool, tmp_path: Path) -> None
     box, desk, renewed_at = tmp_path / "box", Desk(), 0
     with bridge(winder(), ZERO, box, plant=False) as far:
         link = Connection(far.end)
-        executor = Executor(link, winder(), desk, Kept(), speed=1.0)
+        executor = Executor(link, winder(), desk, MemorySink(), speed=1.0)
         executor.connect()
         executor.enable()
         executor.home()

@@ -16,7 +16,7 @@ from tests.live.kill_bench import child
 from threadline.files import RunEnd
 from threadline.live import sim_process
 from threadline.live.executor import Executor
-from threadline.live.states import Cause, Desk, Kept, State
+from threadline.live.states import Cause, Desk, MemorySink, State
 from threadline.live.supervised import run_commands
 from threadline.live.wire import Connection, Message
 
@@ -46,7 +46,7 @@ def test_a_stop_ends_homing_at_once_and_it_is_not_homed(monkeypatch: pytest.Monk
     """The stop comes after the begin of homing, which lasts three times as long here."""
     homing_s = 3.0 * sim_process.HOMING_S
     monkeypatch.setattr(sim_process, "HOMING_S", homing_s)
-    desk, kept = Desk(), Kept()
+    desk, kept = Desk(), MemorySink()
     with in_real_time() as link:
         executor = Executor(link, winder(), desk, kept, speed=1.0)
         executor.connect()
@@ -74,7 +74,7 @@ def test_a_stop_ends_homing_at_once_and_it_is_not_homed(monkeypatch: pytest.Monk
 
 
 def test_a_run_that_is_stopped_while_it_homes_never_begins() -> None:
-    desk, kept, sent = Desk(), Kept(), list[str]()
+    desk, kept, sent = Desk(), MemorySink(), list[str]()
 
     class Slow(Wire):
         """A link that answers only after somebody stops it."""

@@ -17,7 +17,7 @@ from threadline.live.braking import CountLimits
 from threadline.live.executor import Executor
 from threadline.live.jogging import JogAhead, manual_feed
 from threadline.live.sim_process import REAL_TIME, sim_link
-from threadline.live.states import Cause, Desk, Kept, State
+from threadline.live.states import Cause, Desk, MemorySink, State
 from threadline.live.wire import Message
 
 MM = 1e3 / winder().counts_per_unit[1]
@@ -260,7 +260,7 @@ def test_a_first_motion_to_where_it_stands_ends_in_real_time(
     monkeypatch.setattr("threadline.live.guards.LATE_PERIODS", 1e9)
     machine, desk = winder(), Desk()
     with sim_link(machine, np.zeros(3, np.int64), REAL_TIME) as link, closing(desk):
-        executor = Executor(link, machine, desk, Kept(), speed=REAL_TIME)
+        executor = Executor(link, machine, desk, MemorySink(), speed=REAL_TIME)
         executor.connect()
         executor.enable()
         executor.home()

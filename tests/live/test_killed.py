@@ -22,7 +22,7 @@ from threadline.files import RunEnd
 from threadline.live import sim_process
 from threadline.live.executor import Executor
 from threadline.live.sim_kinds import SimRows
-from threadline.live.states import Desk, Kept, State
+from threadline.live.states import Desk, MemorySink, State
 from threadline.live.wire import Connection, Message
 
 ROWS = there_and_back(peak=10.0, cruise=600)  # 36 mm/s on X for 3 s each way
@@ -74,8 +74,8 @@ def machine_with_black_box(end: socket.socket, box: Path) -> None:
     box.write_text(json.dumps(Watched.box), "utf-8")
 
 
-def execute(end: socket.socket, at_tick: Callable[[int], None]) -> tuple[Executor, Kept]:
-    kept, desk = Kept(), Desk()
+def execute(end: socket.socket, at_tick: Callable[[int], None]) -> tuple[Executor, MemorySink]:
+    kept, desk = MemorySink(), Desk()
     executor = Executor(Connection(end), winder(), desk, kept, speed=SPEED)
     executor.connect()
     executor.enable()

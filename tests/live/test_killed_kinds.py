@@ -25,7 +25,7 @@ from threadline.live.grbl_run import GrblRun
 from threadline.live.grbl_words import runs_out
 from threadline.live.port import Port
 from threadline.live.sim_process import group_ticks, simulated_of
-from threadline.live.states import Desk, Kept, State
+from threadline.live.states import Desk, MemorySink, State
 from threadline.twin.stitching import simulate_stitching
 
 DEPTH_S = 0.1
@@ -150,7 +150,7 @@ def test_kill_the_program_that_feeds_grbl(k: int, monkeypatch: pytest.MonkeyPatc
     address = model.address  # it listens already
 
     def feed() -> None:
-        run = GrblRun(Controller(Port(address), MACHINE), Desk(), Kept())
+        run = GrblRun(Controller(Port(address), MACHINE), Desk(), MemorySink())
         run.controller.meet()
         run.enable()
         run.home()

@@ -17,7 +17,7 @@ from threadline.errors import LimitError
 from threadline.files import RunEnd, Stream, TickBlock, TickTable, tick_table
 from threadline.live.kinds_run import run_kind_of
 from threadline.live.links import SimLink
-from threadline.live.states import Desk, Hold, Kept
+from threadline.live.states import Desk, Hold, MemorySink
 from threadline.live.supervised import Conduct
 from threadline.machine import Machine, load_machine
 from threadline.proof.options import options_of
@@ -48,7 +48,7 @@ def test_a_seam_at_67_stitches_a_second_runs_as_it_was_proved() -> None:
     tick_s = float(machine.tick_clock.period_s)
     of_load = machine.velocity_limit * machine.counts_per_unit * tick_s
     assert fastest_row(plan) > 2.0 * of_load.max()
-    kept = Kept()
+    kept = MemorySink()
     with closing(Desk()) as desk:
         ended, why = SimLink(0.0, None).run(plan, desk, kept, Conduct(hold=Hold.AT_REST))
     assert (ended, why) == (RunEnd.COMPLETED, "")

@@ -19,7 +19,7 @@ from threadline.live.grbl_operated import GrblOperated
 from threadline.live.grbl_settings import Mark, compared
 from threadline.live.grbl_words import program_of
 from threadline.live.port import Port
-from threadline.live.states import Desk, Kept, State
+from threadline.live.states import Desk, MemorySink, State
 
 LETTERS = ("X", "Y", "Z", "A")
 RATE_X = 110
@@ -130,7 +130,7 @@ def test_a_line_is_not_sent_in_a_run_nor_in_its_hold() -> None:
     model = GrblModel(settings(), faster=0.2)
     model.start()
     desk = Desk()
-    one = GrblOperated(Controller(Port(model.address), MACHINE), desk, Kept())
+    one = GrblOperated(Controller(Port(model.address), MACHINE), desk, MemorySink())
     try:
         one.connect()
         one.enable()

@@ -25,7 +25,7 @@ from threadline.live.grbl_controller import AHEAD_S, Controller
 from threadline.live.grbl_operated import GrblOperated
 from threadline.live.links import at_link
 from threadline.live.port import Port
-from threadline.live.states import Desk, Kept, State
+from threadline.live.states import Desk, MemorySink, State
 from threadline.live.store.run_store import opened
 from threadline.machine import load_machine
 
@@ -223,7 +223,7 @@ def test_a_link_that_is_lost_in_a_jog_leaves_a_controller_that_stands(project: P
 def jog_on(address: str, moves: int) -> None:
     """Jog X and renew it, as the panel's process does for a held key; report when X moves."""
     desk = Desk()
-    one = GrblOperated(Controller(Port(address), STEPPER), desk, Kept())
+    one = GrblOperated(Controller(Port(address), STEPPER), desk, MemorySink())
     one.connect()
     one.enable()
     one.home()

@@ -13,7 +13,7 @@ import pytest
 from tests.panel.bench import PROGRAM, operator, proven, served
 from tests.panel.test_operator import started
 from threadline.files import ChannelKind
-from threadline.live.states import Kept
+from threadline.live.states import MemorySink
 from threadline.machine import load_machine
 from threadline.panel.live_contour import Also, LiveContour
 from threadline.proof.options import options_of
@@ -107,7 +107,7 @@ def test_live_contour_needs_a_measured_position(proof: Proof) -> None:
 
 
 def test_a_sink_beside_another_gets_all(proof: Proof) -> None:
-    first, second = Kept(), Kept()
+    first, second = MemorySink(), MemorySink()
     both = Also(first, second)
     both.begin(proof.recording.channels, True)
     for block in proof.recording:

@@ -31,11 +31,11 @@ from tests.panel.bench import (
 from threadline.live.states import Cause, State
 from threadline.live.store.run_store import opened
 from threadline.live.wire import Connection, Message
-from threadline.panel import calculating, kept_runs
-from threadline.panel.kept_runs import KeptRuns, Owned
+from threadline.panel import calculating, stored_runs
 from threadline.panel.owner import Owner
 from threadline.panel.panel import end_words
 from threadline.panel.protocol import CLIENT_MESSAGE
+from threadline.panel.stored_runs import Owned, StoredRuns
 
 SPEED = 2.0
 
@@ -311,7 +311,7 @@ def test_a_silent_server_is_one_that_could_not_stop_it(project: Path) -> None:
 
 def test_a_stop_does_not_take_the_reason_of_a_fault_away(tmp_path: Path) -> None:
     owned = Owned(winder(), None, tmp_path, tmp_path / "runs", 1.0)
-    runs = KeptRuns(owned, "", lambda *_: None)
+    runs = StoredRuns(owned, "", lambda *_: None)
     runs.state(3, State.FAULT, Cause.FAULT, "a tick came 6 periods late")
     runs.state(9, State.FAULT, Cause.STOP, "")
     assert runs.why == "a tick came 6 periods late"
@@ -323,7 +323,7 @@ def test_a_stop_before_it_begins_ends_a_start(
     project: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A stop during the check of a start is not lost, and nothing moves afterwards."""
-    heard, check, stop = threading.Event(), kept_runs.check_halts, Owner._stop
+    heard, check, stop = threading.Event(), stored_runs.check_halts, Owner._stop
 
     def checked(*given: Any, **named: Any) -> None:
         assert heard.wait(60.0)
@@ -333,7 +333,7 @@ def test_a_stop_before_it_begins_ends_a_start(
         stop(owner)
         heard.set()
 
-    monkeypatch.setattr(kept_runs, "check_halts", checked)
+    monkeypatch.setattr(stored_runs, "check_halts", checked)
     monkeypatch.setattr(Owner, "_stop", stopped)
     with served(project, SPEED) as client, operator(client) as anna:
         anna.ready()

@@ -13,7 +13,7 @@ from threadline.commands.plan import Plan
 from threadline.errors import CommandError
 from threadline.live.supervised import Interventions, interventions
 from threadline.machine import load_machine
-from threadline.panel import kept_runs, run_work
+from threadline.panel import run_work, stored_runs
 from threadline.proof.options import options_of
 from threadline.proof.pipeline import open_job, plan_job
 from threadline.verdict import Spec, load_spec
@@ -79,7 +79,7 @@ def test_a_proof_that_is_started_again_is_not_simulated_again(
         asked.append(plan.job.name)
         return interventions(plan, spec)
 
-    monkeypatch.setattr(kept_runs, "interventions_apart", counted)
+    monkeypatch.setattr(stored_runs, "interventions_apart", counted)
     proven(tmp_path)
     with served(tmp_path) as client, operator(client) as anna:
         anna.ready()
@@ -101,7 +101,7 @@ def test_a_judge_that_fails_is_told_in_place_of_a_verdict(
     def ends(*_: object) -> None:
         raise CommandError("the process that judges has ended without an answer")
 
-    monkeypatch.setattr(kept_runs, "judged_apart", ends)
+    monkeypatch.setattr(stored_runs, "judged_apart", ends)
     proven(tmp_path)
     with served(tmp_path) as client, operator(client) as anna:
         anna.ready()

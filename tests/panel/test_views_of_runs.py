@@ -20,7 +20,7 @@ from threadline.live.kinds_run import run_kind_of
 from threadline.live.path_window import rests_of
 from threadline.machine import load_machine
 from threadline.panel.job_views import plan_views
-from threadline.panel.kept_runs import next_hold
+from threadline.panel.stored_runs import next_hold
 from threadline.panel.welcoming import readings
 from threadline.proof.options import options_of
 from threadline.proof.pipeline import open_job, plan_job, prove_plan

@@ -19,13 +19,13 @@ from tests.panel.bench import Known, Operator, operator, proven, served
 from threadline.cli.panel_ import to_standard_error
 from threadline.errors import CommandError
 from threadline.live.guards import clock_s
-from threadline.panel import kept_runs
 from threadline.panel import owner_process as owner_link
+from threadline.panel import stored_runs
 from threadline.panel.calculation import Calculation
-from threadline.panel.kept_runs import KeptRuns
 from threadline.panel.owner_process import OwnerLink
 from threadline.panel.panel import Panel
 from threadline.panel.protocol import Calculate, Figures
+from threadline.panel.stored_runs import StoredRuns
 
 ASKED = Calculate(what="calculate", program="there.prg")
 
@@ -66,7 +66,7 @@ def test_a_machine_is_switched_off_while_its_last_run_is_judged(
     project: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with (
-        held(monkeypatch, kept_runs, "judged_apart") as judge,
+        held(monkeypatch, stored_runs, "judged_apart") as judge,
         served(project) as client,
         operator(client) as anna,
     ):
@@ -97,7 +97,7 @@ def test_a_start_that_is_being_checked_is_given_up(
     project: Path, monkeypatch: pytest.MonkeyPatch, what: str
 ) -> None:
     with (
-        held(monkeypatch, KeptRuns, "_prepared") as check,
+        held(monkeypatch, StoredRuns, "_prepared") as check,
         served(project) as client,
         operator(client) as anna,
     ):

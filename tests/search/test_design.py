@@ -24,7 +24,7 @@ from threadline.machine.tables import Design, DesignParameter, DesignSettings
 from threadline.proof import pipeline
 from threadline.proof.options import Options
 from threadline.proof.pipeline import REPEATED, check_loops, plan_job, prove_plan
-from threadline.search.design import DesignResult, Wanted, design
+from threadline.search.design import DesignResult, Requirements, design
 from threadline.search.design_evaluate import Effort, Evaluator, Tried, design_gains
 from threadline.search.design_judge import OtherRuns, design_judge
 from threadline.search.design_proof import with_delay
@@ -110,7 +110,7 @@ def result(
         two_parameters(stitcher),
         spec,
         Options(),
-        Wanted(effort=ENOUGH),
+        Requirements(effort=ENOUGH),
         progress=lambda what, share: told.append((what, share)),
     )
 
@@ -284,7 +284,7 @@ def test_corners_cost_more(
         two_parameters(stitcher, (1.0, 30.0)),
         spec,
         Options(),
-        Wanted(corners=True, effort=NO_REGION),
+        Requirements(corners=True, effort=NO_REGION),
     )
     assert robust.found is not None
     assert result.found is not None
@@ -314,7 +314,7 @@ def test_no_design_says_what_binds(stitcher: Machine, spec: Spec, corner: Path) 
     assert machine.design is not None
     load = DesignParameter(of=machine.design.parameters["load"].of, factor=(0.999, 1.0))
     only = replace(machine, design=replace(machine.design, parameters={"load": load}))
-    result = design(corner, only, spec, Options(), Wanted(effort=SMALL))
+    result = design(corner, only, spec, Options(), Requirements(effort=SMALL))
     assert result.found is None
     assert result.region is None
     assert result.nearest.ratio > 1.0
@@ -331,7 +331,7 @@ def test_design_by_settings_alone_takes_the_largest_margin(
     """
     slow = tmp_path / "slow.seam.toml"
     slow.write_text(CORNER.replace("75 stitch/s", "30 stitch/s"))
-    result = design(slow, two_parameters(stitcher), spec, Options(), Wanted(effort=NO_REGION))
+    result = design(slow, two_parameters(stitcher), spec, Options(), Requirements(effort=NO_REGION))
     assert result.found is not None
     assert result.found.candidate.cost == 0.0
     assert result.found.candidate.ratio <= 1.1 * result.as_built.ratio

@@ -23,7 +23,7 @@ from threadline.proof import pipeline
 from threadline.proof.options import Options
 from threadline.proof.pipeline import open_job, plan_job, prove_plan, yielding
 from threadline.proof.request import trials_of
-from threadline.search.design import Wanted, design
+from threadline.search.design import Requirements, design
 from threadline.search.design_evaluate import Evaluator, Tried
 from threadline.search.design_proof import ProvedDesign
 from threadline.search.influence import cheapest_set
@@ -192,12 +192,12 @@ def test_a_design_is_refused_whose_machines_are_out(tmp_path: Path) -> None:
     # Each dead time needs its own kernel: for a thousand machines these take minutes.
     kept = replace(stitcher.tolerances, exclude=(*stitcher.tolerances.exclude, "drives.*.delay"))
     machine = replace(two_parameters(stitcher, (1.0, 30.0)), tolerances=kept)
-    plain = design(file, machine, spec, Options(), Wanted(effort=NO_REGION)).found
+    plain = design(file, machine, spec, Options(), Requirements(effort=NO_REGION)).found
     assert plain is not None and plain.verdict.passed
     plan = plan_job(read_job(file, plain.machine), plain.machine, Options())
     assert MachineYield(plan, plain.spec).drawn(600, 7).interval[1] < 0.125
     for_yield = design(
-        file, machine, spec, Options(), Wanted(trials=yielding(0.125), effort=NO_REGION)
+        file, machine, spec, Options(), Requirements(trials=yielding(0.125), effort=NO_REGION)
     )
     assert "rejects" in for_yield.refused
     assert for_yield.found is not None
@@ -229,11 +229,11 @@ def test_a_design_is_found_whose_machines_are_in(tmp_path: Path) -> None:
         plan = plan_job(read_job(file, found.machine), found.machine, Options())
         return MachineYield(plan, found.spec).drawn(200, 7).interval
 
-    plain = design(file, machine, spec, Options(), Wanted(effort=NO_REGION)).found
+    plain = design(file, machine, spec, Options(), Requirements(effort=NO_REGION)).found
     assert plain is not None and plain.candidate.cost == 0.0
     assert drawn_by_hand(plain)[1] < 0.7
     for_yield = design(
-        file, machine, spec, Options(), Wanted(trials=yielding(0.8), effort=NO_REGION)
+        file, machine, spec, Options(), Requirements(trials=yielding(0.8), effort=NO_REGION)
     ).found
     assert for_yield is not None and for_yield.verdict.passed
     assert for_yield.verdict.result("rejects").measured <= 0.2

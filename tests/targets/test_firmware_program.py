@@ -390,7 +390,7 @@ def test_a_plan_is_read_once_for_all_passes(
     monkeypatch.setattr(merged_chords, "planned_runs", counted)
     write(made, "grbl", tmp_path / "once.nc")
     assert len(reads) == 1
-    monkeypatch.setattr(merged_chords, "MOST_KEPT", 10)
+    monkeypatch.setattr(merged_chords, "MOST_CACHED", 10)
     write(made, "grbl", tmp_path / "again.nc")
     assert len(reads) > 2
     assert (tmp_path / "once.nc").read_bytes() == (tmp_path / "again.nc").read_bytes()

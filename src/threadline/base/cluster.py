@@ -30,7 +30,7 @@ from itertools import islice
 from typing import Any, TypeVar
 
 from threadline.base.cluster_worker import (
-    KEPT,
+    MOST_WORKS,
     Answer,
     Refusal,
     answer_on_worker,
@@ -224,7 +224,7 @@ class Cluster:
                 key = f"threadline-work-{digest}"
                 future = self._client.submit(same, content, key=key)
             self._works[id(work)] = work, digest, future  # the reference keeps the id valid
-            while len(self._works) > KEPT:
+            while len(self._works) > MOST_WORKS:
                 del self._works[next(iter(self._works))]
         _, digest, future = self._works[id(work)]
         if digest not in self._known:

@@ -23,7 +23,7 @@ from typing import Any
 from threadline import __version__
 from threadline.base.workers import Work
 
-KEPT = 8
+MOST_WORKS = 8
 """Number of works that a worker keeps ready."""
 _ENGINES = ("numpy", "scipy", "numba", "llvmlite")
 
@@ -130,7 +130,7 @@ def _prepared(content: bytes, digest: str) -> _Ready:
         if digest not in _ready:
             work = pickle.loads(content)  # noqa: S301 - the scheduler runs whatever it is sent
             _ready[digest] = _Ready(work=work, known=work.known())
-            while len(_ready) > KEPT:
+            while len(_ready) > MOST_WORKS:
                 _ready.popitem(last=False)
         _ready.move_to_end(digest)
         return _ready[digest]

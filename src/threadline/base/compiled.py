@@ -176,10 +176,10 @@ class CacheFile(IndexDataCacheFile):
         """Return machine code; raise OSError if the file is missing or damaged."""
         return pickle.loads(_checked(Path(self._cache_path) / name))  # noqa: S301
 
-    def _forget(self, kept_names: set[str]) -> None:
+    def _forget(self, current_names: set[str]) -> None:
         """Remove machine code of older sources; a process that still needs it compiles again."""
         for file in Path(self._cache_path).glob(self._data_name_pattern.replace("{number:d}", "*")):
-            if file.name not in kept_names:
+            if file.name not in current_names:
                 file.unlink(missing_ok=True)
 
 
@@ -253,10 +253,10 @@ def njit(**options: Any) -> Callable[[F], Dispatcher[F]]:
 
     def compiled(function: F) -> Dispatcher[F]:
         dispatcher: Dispatcher[F] = numba.njit(**options)(function)
-        if _can_be_kept(dispatcher):
+        if _is_cacheable(dispatcher):
             _keep_safely(dispatcher, repr(sorted(options.items())))
         else:
-            COMPILING.kept = False
+            COMPILING.cached = False
         _prepare_first(dispatcher)
         return dispatcher
 
@@ -276,7 +276,7 @@ def cache_folder(function: Callable[..., Any]) -> Path | None:
         return None
 
 
-def _can_be_kept(function: Any) -> bool:
+def _is_cacheable(function: Any) -> bool:
     """Turn on numba's cache of a function; False if none of its folders can be written."""
     try:
         function.enable_caching()

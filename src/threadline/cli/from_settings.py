@@ -180,7 +180,7 @@ def settings_files(
         rows += [
             (key, text, "assumed")
             for key, text in DEFAULTS.items()
-            if key not in given_answers.given
+            if key not in given_answers.texts
         ]
     form = settings.form or settings.firmware
     notes = [*settings.notes, *([_LIMITS_ONLY] if no_dynamics else [])]
@@ -195,7 +195,7 @@ def _assume_steps(settings: Settings, answers: Answers) -> None:
     if settings.firmware != "linuxcnc":
         return
     for axis, axis_settings in settings.axes.items():
-        given_steps = answers.given.get(f"steps.{axis}")
+        given_steps = answers.texts.get(f"steps.{axis}")
         given_steps = (
             given_steps if settings.turning.get(axis, False) else answers.of("steps", axis)
         )
@@ -230,7 +230,7 @@ def _rows(settings: Settings, answers: Answers) -> Iterator[Row]:
         unit = of_axis if axis else _PLANNER_UNITS.get(base, "")
         name = f"{axis} {base}" if axis else base.replace("_", " ")
         yield name, f"{found.value:g} {unit}".rstrip(), _from(found)
-    for name, text in answers.given.items():
+    for name, text in answers.texts.items():
         if name.partition(".")[0] not in _UNITS:
             yield name, text, "--set"
 

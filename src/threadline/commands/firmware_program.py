@@ -233,12 +233,12 @@ class _Lines:
             if g != modal or self._dialect.each_g:
                 words.insert(0, f"G{g}")
             modal = g
-            wanted = f"{60_000.0 * item.speed:.6g}"
-            if "e" in wanted:
-                wanted = f"{60_000.0 * item.speed:.12f}".rstrip("0").rstrip(".")
-            if wanted != feed and (g == 1 or self._dialect.rapid_is_feed):
-                words.append(f"F{wanted}")
-                feed = wanted
+            f_text = f"{60_000.0 * item.speed:.6g}"
+            if "e" in f_text:
+                f_text = f"{60_000.0 * item.speed:.12f}".rstrip("0").rstrip(".")
+            if f_text != feed and (g == 1 or self._dialect.rapid_is_feed):
+                words.append(f"F{f_text}")
+                feed = f_text
             yield begins_s, " ".join(words)
         yield from ((now_s, act.words) for act in waiting)
         yield from ((now_s, line) for line in self._board.end)

@@ -40,7 +40,7 @@ from threadline.machine import Machine
 from threadline.motion.timing.types import Trajectory
 
 MAX_BODY = 100_000
-_MAX_KEPT = 1_000_000
+_MOST_BODY_BLOCKS = 1_000_000
 _NINTH = 10**8 // 2  # one over two units in the ninth digit of a number that begins with 1
 _NEAR_M = 1e-5  # rotary axes at their radius
 _NO_SUBROUTINES: Mapping[str, str] = {
@@ -69,8 +69,8 @@ def fold(blocks: Iterable[OutBlock]) -> Iterator[OutBlock | Loop]:
     A body longer than ``MAX_BODY`` blocks, and every body that would bring the blocks in memory
     above a million, is written out instead.
     """
-    kept: dict[tuple[OutBlock, ...], None] = {}
-    kept_blocks = 0
+    bodies: dict[tuple[OutBlock, ...], None] = {}
+    body_blocks = 0
     pending: Loop | None = None
     for pass_, group in groupby(blocks, key=_outermost_pass):
         if pass_ == 0:
@@ -86,12 +86,12 @@ def fold(blocks: Iterable[OutBlock]) -> Iterator[OutBlock | Loop]:
         if pending is not None:
             yield pending
             pending = None
-        if body not in kept:
-            if len(body) > MAX_BODY or kept_blocks + len(body) > _MAX_KEPT:
+        if body not in bodies:
+            if len(body) > MAX_BODY or body_blocks + len(body) > _MOST_BODY_BLOCKS:
                 yield from chain(body, group)
                 continue
-            kept[body] = None
-            kept_blocks += len(body)
+            bodies[body] = None
+            body_blocks += len(body)
         pending = Loop(body, 1)
     if pending is not None:
         yield pending

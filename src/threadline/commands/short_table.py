@@ -16,7 +16,7 @@ from threadline.files import Stream
 from threadline.machine import Machine
 from threadline.motion.timing import Trajectory, TrajectoryBlock
 
-_KEPT_TICKS = 1024
+_EDGE_TICKS = 1024
 """Ticks kept at either end of a motion: more than any loop of ``AxisEnds`` remembers."""
 _CLOSE_S = 1e-9
 
@@ -59,10 +59,10 @@ class InverseEnds:
     def add(self, outputs: InverseOutput) -> None:
         """Append the inverse output of the next ticks."""
         self.ticks += len(outputs)
-        if len(self.first) < _KEPT_TICKS:
-            self.first = self.first.joined(outputs.part(0, _KEPT_TICKS - len(self.first)))
+        if len(self.first) < _EDGE_TICKS:
+            self.first = self.first.joined(outputs.part(0, _EDGE_TICKS - len(self.first)))
         both = self.last.joined(outputs)
-        self.last = both.part(max(len(both) - _KEPT_TICKS, 0), len(both))
+        self.last = both.part(max(len(both) - _EDGE_TICKS, 0), len(both))
 
     @property
     def moves(self) -> bool:
@@ -141,7 +141,7 @@ def short_table(
     if trajectory.moves_s[1] > planned_s - step_s:  # else the job itself rests at the end
         least = max(least - EARLIEST, 2)
     count = min(CHOSEN, least // 2)
-    if ticks - least + count > _KEPT_TICKS:
+    if ticks - least + count > _EDGE_TICKS:
         return None
     begun = {
         k: end.first_references(inverse_ends[k].from_start(count, end.memory), count, rest_si[0, k])

@@ -29,7 +29,7 @@ WIDTH, WIDER = 5, 20
 _COLUMNS = 100  # with more, fewer states are kept
 _MISSING = 300  # states kept at a turn where every state is over the tolerance
 _CELLS, _OUTER = 3.0, 12.0  # cells of the swing per tolerance, and cells to each side
-_MOST_KEPT = 60_000_000  # states of all turns
+_MOST_CACHED = 60_000_000  # states of all turns
 _BUCKETS = 4096  # buckets of ranks; states in one bucket count as equal
 
 
@@ -203,7 +203,7 @@ def fastest_turns(
     bound_s = float((to_go[0] + share * speeds.turn_s).min())
     # A wide band has many machines, and the search follows each state on all of them.
     width = max(1, width * _COLUMNS // max(_COLUMNS, len(swings.poles)))
-    width = min(width, max(1, _MOST_KEPT // (len(needle) * len(speeds.turn_s))))
+    width = min(width, max(1, _MOST_CACHED // (len(needle) * len(speeds.turn_s))))
     index, missed = _search(to_go, speeds, frame, width)
     return FastestTurns(turn_s=speeds.turn_s[index], missed=missed, bound_s=bound_s)
 

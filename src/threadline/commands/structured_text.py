@@ -37,7 +37,7 @@ from threadline.commands.structured_text_table import (
     MOST_PLACES,
     TABLE_NAMES,
     Tables,
-    kept_places,
+    named_places,
     table_state,
     tables_of,
 )
@@ -243,10 +243,10 @@ def _block_variables(words: Words, sequence: Sequence, tables: Tables | None) ->
             *_panel_outputs(),
         ),
     )
-    kept = None if tables is None else kept_places(sequence)
+    named = None if tables is None else named_places(sequence)
     yield Block(
         kind="VAR CONSTANT",
-        variables=(*sequence.constants(words.outputs, kept), *hand_constants(words)),
+        variables=(*sequence.constants(words.outputs, named), *hand_constants(words)),
     )
     if tables is not None:
         yield Block(kind="VAR CONSTANT", variables=tables.arrays)

@@ -62,20 +62,20 @@ class Stream(Generic[T]):
         return Stream(_iterate, tuple(items))
 
 
-class KeptStream(Stream[SizedT]):
+class CachedStream(Stream[SizedT]):
     """A stream of blocks that is computed once and kept in memory, if it is short.
 
     All readings, simultaneous or later, share the blocks that the first reading computed. A stream
-    with more than ``MOST_KEPT`` rows in total is computed anew for each reading. Kept blocks are
+    with more than ``MOST_CACHED`` rows in total is computed anew for each reading. Kept blocks are
     not pickled: another process computes them again. Because readers share the blocks, the blocks
     must be locked.
 
-    >>> lengths = KeptStream(iter, ("abc", "de"))
+    >>> lengths = CachedStream(iter, ("abc", "de"))
     >>> list(lengths) == list(lengths) == ["abc", "de"]
     True
     """
 
-    MOST_KEPT = 2048
+    MOST_CACHED = 2048
 
     __slots__ = ("_exhausted", "_items", "_lock", "_rows", "_source")
 
@@ -88,7 +88,7 @@ class KeptStream(Stream[SizedT]):
     def _begin(self) -> None:
         self._items: list[SizedT] = []  # blocks computed so far
         self._source: Iterator[SizedT] | None = None  # computes the following blocks
-        self._rows = 0  # if it exceeds ``MOST_KEPT``, every reading computes its own blocks
+        self._rows = 0  # if it exceeds ``MOST_CACHED``, every reading computes its own blocks
         self._exhausted = False
         self._lock = Lock()
 
@@ -116,7 +116,9 @@ class KeptStream(Stream[SizedT]):
                 if self._exhausted:
                     return
                 remaining = (
-                    self._extend() if self._rows <= self.MOST_KEPT else self._behind(yielded_count)
+                    self._extend()
+                    if self._rows <= self.MOST_CACHED
+                    else self._behind(yielded_count)
                 )
         yield from remaining
 
@@ -131,10 +133,10 @@ class KeptStream(Stream[SizedT]):
         """Compute the next item; if there are too many to keep, return it and all further items."""
         source = super().__iter__() if self._source is None else self._source
         rows = self._rows
-        self._source, self._rows = None, self.MOST_KEPT + 1  # in case it raises
+        self._source, self._rows = None, self.MOST_CACHED + 1  # in case it raises
         item = next(source, None)
         item_rows = 0 if item is None else self._rows_of(item)
-        if item is not None and rows + item_rows > self.MOST_KEPT:
+        if item is not None and rows + item_rows > self.MOST_CACHED:
             self._items = []  # readers hold their own reference to the old list
             return chain((item,), source)
         self._exhausted = item is None

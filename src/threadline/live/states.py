@@ -223,7 +223,7 @@ class Sink(Protocol):
         """Receive a change of the executor's state."""
 
 
-class Kept:
+class MemorySink:
     """A sink of an executor that keeps everything in memory.
 
     Attributes

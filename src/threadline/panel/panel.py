@@ -28,7 +28,7 @@ BEAT_S = 0.05
 """Period of the states sent to clients, s."""
 _REST_BEATS = 2
 """Beats between two states if nothing has changed."""
-_PASSING: Any = {"seq": True, "age_s": True, "control": {"left_s"}}
+_VOLATILE: Any = {"seq": True, "age_s": True, "control": {"left_s"}}
 """Fields that differ in every state, and are ignored in a comparison of states."""
 _ALIVE_BEATS = 4
 """Beats between two signs of life to the owner: 0.2 s, a fifth of the silence that it allows."""
@@ -439,7 +439,7 @@ class Panel:
             self._granted(self._control.pass_if_due(clock_s()))
             self._seq += 1
             state = self.state()
-            compared = state.model_dump(exclude=_PASSING)
+            compared = state.model_dump(exclude=_VOLATILE)
             if compared != shown or self._seq % _REST_BEATS == 0:
                 shown, text = compared, state.model_dump_json()
                 for client in self._clients.values():

@@ -210,7 +210,7 @@ def collect(proof: Proof, around_s: Sequence[float] = ()) -> Traces:
     stride = 1 if samples <= MAX_SAMPLES else int(np.ceil(14 * len(axes) * samples / MAX_SAMPLES))
     blocks = judged_blocks(recording, axes, 0, None)
     parts = list(
-        _kept_samples(blocks, plan.motion.trajectory, setting.interval_s, stride, around_times_s)
+        _samples_drawn(blocks, plan.motion.trajectory, setting.interval_s, stride, around_times_s)
     )
     number, time_s, commanded, actual, velocity, acceleration, planned = (
         np.concatenate([part[column] for part in parts]) for column in range(7)
@@ -235,7 +235,7 @@ def collect(proof: Proof, around_s: Sequence[float] = ()) -> Traces:
     )
 
 
-def _kept_samples(
+def _samples_drawn(
     blocks: Iterator[Block],
     trajectory: Trajectory,
     interval_s: float,

@@ -320,10 +320,10 @@ def _searched(
     """
     points, near, edge_relative = grid.points, grid.near, grid.edge
     feeds = _spaced(*feed_range, points)
-    passes = _passes(verdict_at, feeds)
+    passes = _feeds_pass(verdict_at, feeds)
     if near:
         feeds = _with_more_feeds(feeds, _gaps_to_refine(passes), near)
-        passes = _passes(verdict_at, feeds)
+        passes = _feeds_pass(verdict_at, feeds)
     expects(sum(before != after for before, after in pairwise(passes)))
     intervals = _bounded(verdict_at, feeds, passes, edge_relative)
     if near:
@@ -354,13 +354,13 @@ def _searched_from_above(
     if _fixed([verdict_at(feed) for feed in scan]):
         return []
     if not near:
-        intervals = _bounded(verdict_at, scan, _passes(verdict_at, scan), edge_relative)
+        intervals = _bounded(verdict_at, scan, _feeds_pass(verdict_at, scan), edge_relative)
         expects(2 * len(intervals))
         return intervals
     refined_gaps: set[int] = set()
     while True:
         feeds = _with_more_feeds(scan, refined_gaps, near)
-        intervals = _bounded(verdict_at, feeds, _passes(verdict_at, feeds), edge_relative)
+        intervals = _bounded(verdict_at, feeds, _feeds_pass(verdict_at, feeds), edge_relative)
         expects(1)
         examined: list[Interval] = []
         while intervals and all(part.isolated for part in examined):
@@ -376,11 +376,11 @@ def _searched_from_above(
 
 def _down_to_passing(verdict_at: Judged, feeds: list[float]) -> list[float]:
     """Return the highest feeds, down to ``_ENOUGH`` in a row that pass or to a fixed error."""
-    passing_count, verdicts = 0, list[Verdict]()
+    passed_count, verdicts = 0, list[Verdict]()
     for index in range(len(feeds) - 1, -1, -1):
         verdicts.insert(0, verdict_at(feeds[index]))
-        passing_count = passing_count + 1 if verdicts[0].passed else 0
-        if passing_count == _ENOUGH or _fixed(verdicts):
+        passed_count = passed_count + 1 if verdicts[0].passed else 0
+        if passed_count == _ENOUGH or _fixed(verdicts):
             return feeds[index:]
     return feeds
 
@@ -425,7 +425,7 @@ def _failing(verdict: Verdict) -> dict[tuple[str, str, str], float]:
     }
 
 
-def _passes(verdict_at: Judged, feeds: Sequence[float]) -> list[bool]:
+def _feeds_pass(verdict_at: Judged, feeds: Sequence[float]) -> list[bool]:
     """Return whether each feed passes. The highest feed is tried first.
 
     A high feed takes the least time to simulate, and a failing feed fails at once. So a search that

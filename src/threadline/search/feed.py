@@ -16,7 +16,7 @@ from threadline.jobs.gcode.feeds import RULES, as_f_words
 from threadline.jobs.operations import Feed, FeedMode, Job, Move, MoveRun, move_runs
 from threadline.machine import Machine
 from threadline.motion.path import programmed_path
-from threadline.proof.judge_runs import kept_in_memory
+from threadline.proof.judge_runs import cached_in_memory
 from threadline.proof.pipeline import open_job, plan_job
 from threadline.search.fastest import FINE, Fastest, Grid
 from threadline.search.paced import Paced, Question, fastest_paced
@@ -167,7 +167,7 @@ def fastest_feed(
         def planned_at(pace: float) -> Plan:
             feed = Feed(by, pace)
             shortened_job, limited_machine = part.without_middles(feed, options.limit_share)
-            return kept_in_memory(
+            return cached_in_memory(
                 plan_job(shortened_job, limited_machine, replace(options, feed=feed))
             )
 

@@ -27,7 +27,7 @@ from threadline.motion.timing import TrajectoryReader
 from threadline.proof.pipeline import NOMINAL, Trials, prove_plan
 from threadline.search.feed_ranges import used
 from threadline.search.repeats import (
-    GIVEN_UP,
+    LEAST_GAIN,
     Learned,
     Repeat,
     Rules,
@@ -164,7 +164,7 @@ class Learner:
             self.rules.gain,
         )
         best = runs[best_index]
-        if gain < self.rules.gain * GIVEN_UP:
+        if gain < self.rules.gain * LEAST_GAIN:
             return best.offset, 0.0, "the best table is kept"
         columns = zip(self.filters, best.error.T, self._scale, strict=True)
         change = np.stack(

@@ -65,11 +65,11 @@ def with_searched_edges(
             )
         return searched_verdicts[pace]
 
-    kept_intervals: list[Interval] = []
+    intervals: list[Interval] = []
     best_found = False
     for interval in found.intervals:
         if best_found or (best_only and interval.isolated and not first.isolated):
-            kept_intervals.append(interval)
+            intervals.append(interval)
             continue
         high = _held(verdict_at, interval.high, interval.low, found.edge)
         if high is None:
@@ -77,9 +77,9 @@ def with_searched_edges(
         low = interval.low if best_only else _held(verdict_at, interval.low, high, found.edge)
         low = high if low is None else min(low, high)
         isolated = interval.isolated or (low == high and interval.low < interval.high)
-        kept_intervals.append(Interval(low=low, high=high, isolated=isolated))
+        intervals.append(Interval(low=low, high=high, isolated=isolated))
         best_found = best_only
-    return _with_kept(found, tuple(kept_intervals), searched_verdicts)
+    return _with_intervals(found, tuple(intervals), searched_verdicts)
 
 
 def _held(verdict_at: Judged, end: float, far_end: float, edge: float) -> float | None:
@@ -103,13 +103,15 @@ def _held(verdict_at: Judged, end: float, far_end: float, edge: float) -> float 
         failing, step = pace, 2.0 * step
 
 
-def _with_kept(found: Fastest, kept: tuple[Interval, ...], known: dict[float, Verdict]) -> Fastest:
+def _with_intervals(
+    found: Fastest, intervals: tuple[Interval, ...], known: dict[float, Verdict]
+) -> Fastest:
     """Return a result with other intervals, and with the criterion that limits the fastest."""
     assert found.best is not None
     ends = {end for interval in found.intervals for end in (interval.low, interval.high)}
     tried = found.tried + len(known.keys() - ends)
     failing = {pace: verdict for pace, verdict in known.items() if not verdict.passed}
-    result = replace(found, intervals=kept, tried=tried)
+    result = replace(found, intervals=intervals, tried=tried)
     if result.best is None:
         closest = closest_of(failing.values())
         limited_by = worst_criterion(closest)[0]

@@ -193,7 +193,7 @@ class _Sheet:
     """The results so far, and the numbers for later results."""
 
     def __init__(self, demands: Demands) -> None:
-        self.given = demands
+        self.demands = demands
         self.lines: list[SizeLine] = []
         self.warnings: list[str] = []
         self.speed = demands.speed_m_s
@@ -208,7 +208,7 @@ class _Sheet:
 
     def product(self) -> None:
         """Speed and acceleration from stitches and corners."""
-        g = self.given
+        g = self.demands
         rules = []
         if g.needle_speed_hz is not None and g.stitch_length_m is not None:
             self.speed = self.add(
@@ -262,7 +262,7 @@ class _Sheet:
 
     def drive(self) -> None:
         """Gear and inertia at the motor."""
-        g = self.given
+        g = self.demands
         if g.load_mass_kg is None or g.pulley_radius_m is None:
             return
         if g.motor_inertia_kg_m2 is not None:
@@ -300,7 +300,7 @@ class _Sheet:
 
     def motor(self) -> None:
         """Torque, current and voltage at full speed and acceleration."""
-        g = self.given
+        g = self.demands
         self._constants()
         if self.inertia is None or self.speed is None or g.pulley_radius_m is None:
             return
@@ -355,7 +355,7 @@ class _Sheet:
 
     def _margin(self, name: str, needed_n_m: float) -> None:
         """Add the ratio of the motor's peak torque to the needed torque."""
-        g = self.given
+        g = self.demands
         if g.motor_torque_n_m is None or needed_n_m == 0.0:
             return
         margin = self.add(
@@ -368,7 +368,7 @@ class _Sheet:
             )
 
     def _constants(self) -> None:
-        g = self.given
+        g = self.demands
         kt, ke, resistance = g.torque_constant_n_m_a, g.back_emf_v_s, g.resistance_ohm
         if kt is None or ke is None:
             return
@@ -388,7 +388,7 @@ class _Sheet:
 
     def move(self) -> None:
         """A repeated move: speeds, torque and heat by profile."""
-        g = self.given
+        g = self.demands
         try:  # also without a move, so that a wrong option is not ignored
             profile = SpeedProfile(name=g.profile, ramp=g.ramp)
         except ValueError as error:
@@ -439,7 +439,7 @@ class _Sheet:
 
     def encoder(self) -> None:
         """Resolution at the load, and the rate of counts."""
-        g = self.given
+        g = self.demands
         if g.encoder_lines is None or g.pulley_radius_m is None or self.ratio is None:
             return
         per_m = self.add(

@@ -79,11 +79,11 @@ class Covering:
         laid, unknown = self._laid[run]
         if not unknown > _FEW * laid:
             return ""
-        said = "may lie in the gap" if gap_m > 0.0 else "counts as no cover: the rest leaves no gap"
+        text = "may lie in the gap" if gap_m > 0.0 else "counts as no cover: the rest leaves no gap"
         from threadline.winding.raster import in_percent
 
         share = in_percent(unknown / laid)
-        return f"the place of {share} of the laid fibre is not known, and that fibre {said}"
+        return f"the place of {share} of the laid fibre is not known, and that fibre {text}"
 
 
 def middle_of(surface: Surface) -> float:

@@ -175,7 +175,7 @@ class StitchFollower:
         """Return the stitches, in groups, that are complete with the samples of a block."""
         time_s, actual = block.time_s, block.actual
         assert actual is not None
-        kept = self._kept(time_s)
+        kept = self._rows_used(time_s)
         self._clock.take(block, kept)
         points = self._at_tool(actual[kept])
         self._time_s = np.concatenate([self._time_s, time_s[kept]])
@@ -209,7 +209,7 @@ class StitchFollower:
         """Return (n, axes, runs) lengths at the tool of (n, runs, axes) values, axes of the job."""
         return np.asarray(lanes(values)[:, self._columns] * self._radius_m[self._columns, None])
 
-    def _kept(self, time_s: FloatArray) -> IntArray:
+    def _rows_used(self, time_s: FloatArray) -> IntArray:
         """Return the rows of a block to use: all of them, unless ticks are very short.
 
         A stitch may last a million ticks of a nanosecond: a fine part of the averaging time is

@@ -34,7 +34,7 @@ OPTIONS = {"over": Option(unit="s", default=0.002)}
 NEEDLE_OPTIONS = {"delay": Option(unit="s", default=0.0), **OPTIONS}
 _HIGH = 0.95  # of the set speed
 _MOVES = 0.02  # of the highest speed of a following needle: a slower head rests
-_KEPT_TURNS = 2.0 * TURNS + 8.0
+_WINDOW_TURNS = 2.0 * TURNS + 8.0
 
 
 class _Head:
@@ -317,7 +317,7 @@ class _ToSpeed:
             # Once the stop before a rest is counted, only the end of the rest matters.
             if not dip.stopped or dip.rise is not None:
                 oldest_s = min(oldest_s, dip.begin_s)
-        keep_s = oldest_s - _KEPT_TURNS * self._turn_s
+        keep_s = oldest_s - _WINDOW_TURNS * self._turn_s
         self._past.drop(keep_s)
         for head in self._heads:
             head.drop(keep_s)

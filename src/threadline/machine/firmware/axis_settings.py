@@ -152,9 +152,9 @@ class Settings:
         self._refuse_another(self.planner.get(key), setting)
         self.planner[key] = setting
 
-    def leave_out(self, said: str, does: str, place: Place) -> None:
+    def leave_out(self, setting: str, does: str, place: Place) -> None:
         """Record a setting that changes the motion but that the planner ignores."""
-        self.unheeded.append(f"{place}: {said} {does}; the planner ignores it")
+        self.unheeded.append(f"{place}: {setting} {does}; the planner ignores it")
 
     def shapes(self, name: str, place: Place) -> None:
         """Record that the firmware's input shaper is on; ``name`` is its name in the file."""
@@ -174,7 +174,7 @@ class Settings:
             remedy="Send G21 and dump the settings again.",
         )
 
-    def refuse_kinematics(self, said: str, place: Place) -> None:
+    def refuse_kinematics(self, setting: str, place: Place) -> None:
         """Refuse a machine in which a motor moves more than one axis.
 
         Raises
@@ -183,7 +183,7 @@ class Settings:
             Always.
         """
         raise MachineError(
-            f"{said}: settings can be read only for machines with one motor per axis",
+            f"{setting}: settings can be read only for machines with one motor per axis",
             place=place,
             remedy="Write the machine file by hand; see docs/machines.md.",
         )

@@ -10,7 +10,7 @@ from typing import TypeAlias
 from threadline.base.option_defaults import DEFAULT_TOLERANCE_M
 from threadline.base.wording import nearest
 from threadline.errors import OptionError
-from threadline.files import KeptStream, Stream
+from threadline.files import CachedStream, Stream
 from threadline.machine import Machine
 from threadline.machine.vary import within_path
 from threadline.motion.path import bspline, straight
@@ -194,7 +194,7 @@ def chord_path(programmed: ProgrammedPath, interpolation: str = CHORDS) -> Plann
         interpolation=interpolation,
         timing=Timing.GEOMETRIC,
         historical=False,
-        blocks=KeptStream(straight.chords, programmed),
+        blocks=CachedStream(straight.chords, programmed),
     )
 
 
@@ -211,7 +211,7 @@ def interpolation_names() -> tuple[str, ...]:
 def _historical(
     name: str,
     programmed: ProgrammedPath,
-    blocks: KeptStream[PieceBlock],
+    blocks: CachedStream[PieceBlock],
     summary: Mapping[str, float],
 ) -> PlannedPath:
     return PlannedPath(
@@ -228,7 +228,7 @@ def _historical(
 def _linear(programmed: ProgrammedPath, machine: Machine, options: PathOptions) -> PlannedPath:
     del options
     return _historical(
-        "linear", programmed, KeptStream(straight.linear_pieces, programmed, machine), {}
+        "linear", programmed, CachedStream(straight.linear_pieces, programmed, machine), {}
     )
 
 
@@ -239,7 +239,7 @@ def _point_to_point(
     return _historical(
         "point-to-point",
         programmed,
-        KeptStream(straight.point_to_point_pieces, programmed, machine),
+        CachedStream(straight.point_to_point_pieces, programmed, machine),
         {},
     )
 
@@ -260,7 +260,7 @@ def _spline(
     return _historical(
         name,
         programmed,
-        KeptStream(bspline.bspline_pieces, programmed, machine, refine, interval_s),
+        CachedStream(bspline.bspline_pieces, programmed, machine, refine, interval_s),
         {"interval_s": interval_s},
     )
 
@@ -276,7 +276,7 @@ def _auto(programmed: ProgrammedPath, machine: Machine, options: PathOptions) ->
         interpolation="auto",
         timing=Timing.GEOMETRIC,
         historical=False,
-        blocks=KeptStream(auto_pieces, programmed, cut_m),
+        blocks=CachedStream(auto_pieces, programmed, cut_m),
         smoothing_m=smoothing_m,
     )
     return _with_deviation(programmed, path, partial(_number_added, programmed, cut_m))
@@ -294,7 +294,9 @@ def _optimal(programmed: ProgrammedPath, machine: Machine, options: PathOptions)
         interpolation=OPTIMAL,
         timing=Timing.FASTEST,
         historical=False,
-        blocks=KeptStream(auto_pieces, programmed, cut_m, near_m, degree=QUARTIC, corners=corners),
+        blocks=CachedStream(
+            auto_pieces, programmed, cut_m, near_m, degree=QUARTIC, corners=corners
+        ),
     )
     added = partial(_number_added, programmed, cut_m, QUARTIC, corners)
     return _with_deviation(programmed, path, added)
@@ -315,7 +317,7 @@ def _firmware(programmed: ProgrammedPath, machine: Machine, options: PathOptions
         interpolation=FIRMWARE,
         timing=Timing.FIRMWARE,
         historical=True,
-        blocks=KeptStream(straight.chords, programmed),
+        blocks=CachedStream(straight.chords, programmed),
         limits=programmed.limits,
     )
 
@@ -333,7 +335,7 @@ def _parabolic(programmed: ProgrammedPath, machine: Machine, options: PathOption
         interpolation="parabolic",
         timing=Timing.GEOMETRIC,
         historical=False,
-        blocks=KeptStream(blended_pieces, programmed, cut_m),
+        blocks=CachedStream(blended_pieces, programmed, cut_m),
         smoothing_m=smoothing_m,
     )
     return _with_deviation(programmed, path)
@@ -352,7 +354,7 @@ def _polynomial(name: str) -> Planner:
             interpolation=name,
             timing=Timing.TIME,
             historical=False,
-            blocks=KeptStream(polynomial_pieces, programmed, bounds, quintic=quintic),
+            blocks=CachedStream(polynomial_pieces, programmed, bounds, quintic=quintic),
             smoothing_m=0.0 if quintic else options.tolerance_m,
         )
         return _with_deviation(programmed, path)

@@ -30,7 +30,7 @@ from threadline.motion.path.chords import (
     ToolChord,
     chord,
     from_vertex,
-    legs_kept,
+    needed_legs,
     roughness,
     squared_of,
     towards,
@@ -165,7 +165,7 @@ def _thin(vertices, cut_m, shares_m, is_last, start, place, known):
     count, axes = positions.shape
     out, beside = np.empty((count, axes)), np.empty(count)
     time_s, row = np.empty(count), np.empty(count, dtype=np.int64)
-    kept = legs_kept(positions, radius_m, cut_m)
+    kept = needed_legs(positions, radius_m, cut_m)
     chord_start, d = place.copy(), np.empty(axes)
     program, tool_chord = Program(positions, radius_m), ToolChord(chord_start, d, np.empty(axes))
     # The roughness at the last two rows is unknown before more vertices come.

@@ -13,8 +13,8 @@ import numpy as np
 from threadline.base.arrays import FloatArray, IntArray
 from threadline.base.progress import PLANNING
 from threadline.errors import BudgetError, OptionError, Place
-from threadline.files import KeptStream, Stream
-from threadline.jobs.feed_times import nominal_time_s, wanted_feed
+from threadline.files import CachedStream, Stream
+from threadline.jobs.feed_times import feed_of_move, nominal_time_s
 from threadline.jobs.operations import Dwell, Feed, FeedMode, Job, Move, MoveRun, gathered
 from threadline.machine import Machine
 from threadline.machine.vary import within_path
@@ -208,7 +208,7 @@ class _Run:
         PLANNING.reach(self.begin_s + self.done * step)
 
 
-_MOST_KEPT = 20_000  # pieces of a path whose fastest motion is kept
+_MOST_CACHED = 20_000  # pieces of a path whose fastest motion is kept
 
 
 class Pace(StrEnum):
@@ -288,12 +288,12 @@ def plan_trajectory(
             )
         timed = Stream(as_programmed, path, machine)
         path = replace(path, blocks=timed, timing=Timing.TIME, historical=True)
-    path = replace(path, blocks=KeptStream(_within_budget, path, machine))
+    path = replace(path, blocks=CachedStream(_within_budget, path, machine))
     if path.timing is Timing.TIME and path.smoothing_m > 0:
-        return Trajectory(axes=path.axes, blocks=KeptStream(smoothed_blocks, path, machine))
+        return Trajectory(axes=path.axes, blocks=CachedStream(smoothed_blocks, path, machine))
     if path.timing is Timing.TIME:
         return Trajectory(
-            axes=path.axes, historical=path.historical, blocks=KeptStream(timed_blocks, path)
+            axes=path.axes, historical=path.historical, blocks=CachedStream(timed_blocks, path)
         )
     if path.timing is Timing.FIRMWARE and machine.planner is not None:
         from threadline.motion.timing.firmware import firmware_blocks
@@ -301,7 +301,7 @@ def plan_trajectory(
         return Trajectory(
             axes=path.axes,
             historical=True,
-            blocks=KeptStream(firmware_blocks, path, machine, machine.planner),
+            blocks=CachedStream(firmware_blocks, path, machine, machine.planner),
         )
     if path.timing is Timing.FASTEST:
         from threadline.motion.timing.optimal.fastest_motion import fastest_blocks
@@ -313,7 +313,7 @@ def plan_trajectory(
         return Trajectory(
             axes=path.axes, blocks=Stream.of(list(blocks)) if _short(path) else blocks
         )
-    return Trajectory(axes=path.axes, blocks=KeptStream(followed_blocks, path, machine))
+    return Trajectory(axes=path.axes, blocks=CachedStream(followed_blocks, path, machine))
 
 
 def _short(path: PlannedPath) -> bool:
@@ -321,7 +321,7 @@ def _short(path: PlannedPath) -> bool:
     count = 0
     for block in path:
         count += len(block)
-        if count > _MOST_KEPT:
+        if count > _MOST_CACHED:
             return False
     return True
 
@@ -441,10 +441,10 @@ def _times_s(
     ends = [begin for begin, _ in run.feeds[1:]] + [len(displacement)]
     for (begin, programmed), end in zip(run.feeds, ends, strict=True):
         if programmed is None or programmed.mode is not FeedMode.RAPID:
-            feed_wanted = wanted_feed(
+            move_feed = feed_of_move(
                 programmed, feed, Place(run.file, int(run.line[begin])), job, machine
             )
             least_s[begin:end], _ = nominal_time_s(
-                displacement[begin:end], feed_wanted, feed, job, machine
+                displacement[begin:end], move_feed, feed, job, machine
             )
     return least_s

@@ -405,20 +405,20 @@ class Run:
         """Return the state of the run, which can be pickled."""
         return tuple(state.snapshot() for state in self._states)
 
-    def restore(self, kept: tuple[Snapshot, ...]) -> None:
-        """Continue from ``kept``, of a run started in the same way in any process.
+    def restore(self, saved: tuple[Snapshot, ...]) -> None:
+        """Continue from ``saved``, of a run started in the same way in any process.
 
         Raises
         ------
         ValueError
             If it belongs to another machine or other variants.
         """
-        if len(kept) != len(self._states):
+        if len(saved) != len(self._states):
             raise ValueError(
-                f"the snapshot is of a machine of {len(kept)} connected pieces, this one has "
+                f"the snapshot is of a machine of {len(saved)} connected pieces, this one has "
                 f"{len(self._states)}"
             )
-        for state, one in zip(self._states, kept, strict=True):
+        for state, one in zip(self._states, saved, strict=True):
             state.restore(one)
 
 

@@ -29,9 +29,9 @@ from threadline.motion.timing.firmware.look_ahead import (
     speeds_with_cruise,
 )
 from threadline.motion.timing.firmware.marlin_moves import (
+    executed_moves,
     held_back,
     in_steps,
-    kept_moves,
     least_squares,
     whole_rates,
     whole_steps,
@@ -195,7 +195,7 @@ class _MarlinRun(_Run):
         if self.rules.steps is None or not len(displacement):
             return start, displacement, nominal_s, operation
         ends_at, steps = start + displacement, self.rules.scale * self.rules.steps
-        is_kept = kept_moves(ends_at * steps, start[0] * steps, last=is_last)
+        is_kept = executed_moves(ends_at * steps, start[0] * steps, last=is_last)
         waiting_count = len(is_kept) - int(is_kept[::-1].argmax()) if is_kept.any() else 0
         if waiting_count < len(is_kept):
             self.held = (

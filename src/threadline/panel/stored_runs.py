@@ -127,7 +127,7 @@ class Owned:
     link: str = "sim"
 
 
-class KeptRuns:
+class StoredRuns:
     """Prepares, keeps and judges runs; the sink of the executor.
 
     Parameters
@@ -145,14 +145,14 @@ class KeptRuns:
         Reason of the latest change of state; may be empty.
     """
 
-    def __init__(self, owned: Owned, label: str, said: Callable[[str, bool], None]) -> None:
+    def __init__(self, owned: Owned, label: str, tell: Callable[[str, bool], None]) -> None:
         machine = owned.machine
         self._folder, self._machine, self._spec_file = owned.folder, machine, owned.spec_file
-        self._store, self._speed, self._said = owned.store, owned.speed, said
+        self._store, self._speed, self._tell = owned.store, owned.speed, tell
         self._link = {"link": owned.link, **({"label": label} if label else {})}
         self._pool = ThreadPoolExecutor(1)
         self._preparing: tuple[Future[Prepared], int, int] | None = None
-        self._given_up = ""  # the command that cancelled the start being checked
+        self._cancelled_by = ""  # the command that cancelled the start being checked
         self._judging: Future[_Finished] | None = None
         self._channels: tuple[Channel, ...] = ()
         self._simulated = True
@@ -213,12 +213,12 @@ class KeptRuns:
 
     def give_up(self, why: str) -> None:
         """Drop a start that is being checked, because the command ``why`` came."""
-        self._given_up = self._given_up or why
+        self._cancelled_by = self._cancelled_by or why
 
     def prepare(self, head: Mapping[str, Any], stops: int, executor: Operated) -> None:
         """Begin to check a requested run; ``prepared`` returns the result."""
         number = int(head["number"])
-        self._given_up = ""
+        self._cancelled_by = ""
         work = self._pool.submit(self._prepared, head, stops, executor)
         self._preparing = (work, number, stops)
 
@@ -232,8 +232,8 @@ class KeptRuns:
             ready = future.result()
         except (ThreadlineError, OSError) as error:
             return number, str(error)
-        if self._given_up:
-            return number, f"it was not begun: the command {self._given_up!r} came meanwhile"
+        if self._cancelled_by:
+            return number, f"it was not begun: the command {self._cancelled_by!r} came meanwhile"
         return ready
 
     def _prepared(self, head: Mapping[str, Any], stops: int, executor: Operated) -> Prepared:
@@ -291,7 +291,7 @@ class KeptRuns:
         run_entries = {**self._link, **self._entries_of(ready)}
         executor.refuse(ready.load)
         for note in ready.load.notes:
-            self._said(note, False)
+            self._tell(note, False)
         run = RunStore(self._store).begin(
             plan, ready.proof, run_entries, self._speed, ready.inputs, sent
         )
@@ -411,7 +411,7 @@ class KeptRuns:
         live.close()
         self._progress["contour"] = live.report()
         if live.failed:
-            self._said(f"the error of the run was not followed to its end: {live.failed}", True)
+            self._tell(f"the error of the run was not followed to its end: {live.failed}", True)
 
     def _time_s(self, executor: Operated) -> float:
         """Return the present instant of the whole job, s, from the plan times of the recording.
