@@ -202,7 +202,7 @@ def test_every_planning_option_is_walked() -> None:
 def test_every_verb_reads_and_plans_alike_by_both_doors(stopped: Path, work: str) -> None:
     """Verb by option by kind: the same job, read alike, with the same options, or one refusal."""
     kind = "ticks" if work in {"loops", "seam"} else work
-    told = 0
+    answered_count = 0
     for one in PLANNING:
         words = given_to(one, work)
         wanted = by_python("prove", stopped, work, words)
@@ -215,10 +215,10 @@ def test_every_verb_reads_and_plans_alike_by_both_doors(stopped: Path, work: str
                 continue
             found = by_line(verb, stopped, work, words)
             assert found == wanted, (verb, one.name)
-            told += not isinstance(found, str)
+            answered_count += not isinstance(found, str)
             if verb in PYTHON_VERBS:
                 assert by_python(verb, stopped, work, words) == wanted, (verb, one.name)
-    assert told > 5
+    assert answered_count > 5
 
 
 @pytest.mark.parametrize(
@@ -300,7 +300,7 @@ def test_a_refusal_is_written_as_python_takes_it(stopped: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("verb", "word", "said"),
+    ("verb", "word", "message"),
     [
         ("compare", "feed", "compare takes no feed. Did you mean feeds?"),
         ("compare", "shaper", "compare takes no shaper. Did you mean shapers?"),
@@ -314,13 +314,13 @@ def test_a_refusal_is_written_as_python_takes_it(stopped: Path) -> None:
     ],
 )
 def test_an_argument_of_other_functions_is_refused_by_its_name(
-    stopped: Path, verb: str, word: str, said: str
+    stopped: Path, verb: str, word: str, message: str
 ) -> None:
     """As on the command line, and not by the nearest word, which has another meaning."""
     more = ["csv", stopped / "out"] if verb == "compile" else []
     with pytest.raises(OptionError) as refused:
         getattr(tl, verb)(stopped / "a.prg", "lathe-winder", *more, **{word: "x"})
-    assert said in str(refused.value)
+    assert message in str(refused.value)
 
 
 @pytest.mark.parametrize("verb", ["compare", "fastest"])

@@ -76,7 +76,7 @@ def test_an_interrupt_stops_it_on_the_path(job: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("words", "message"),
     [
         ({"link": "wire"}, "wire"),
         ({"speed": -1.0}, "speed= -1 is not between 0"),
@@ -88,7 +88,7 @@ def test_an_interrupt_stops_it_on_the_path(job: Path, tmp_path: Path) -> None:
     ],
 )
 def test_wrong_run_is_refused_by_argument_and_keeps_nothing(
-    job: Path, tmp_path: Path, words: dict[str, object], said: str
+    job: Path, tmp_path: Path, words: dict[str, object], message: str
 ) -> None:
     if "job" in words:
         job.write_text(str(words["job"]))
@@ -96,7 +96,7 @@ def test_wrong_run_is_refused_by_argument_and_keeps_nothing(
     given.pop("job", None)
     with pytest.raises(InputError) as refused:
         tl.run(job, MACHINE, **given)
-    assert said in str(refused.value) and "--" not in str(refused.value)
+    assert message in str(refused.value) and "--" not in str(refused.value)
     assert not (tmp_path / "runs").exists() or not opened(tmp_path / "runs").index.runs()
 
 

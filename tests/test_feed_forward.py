@@ -131,8 +131,8 @@ def test_more_current_than_there_is_is_said(seam, machine):
     job = read_job(seam, machine, needle_speed="76 stitch/s")
     plan = plan_job(job, machine, AHEAD)
     assert plan.motion.demands[1].share > 1.0
-    said = plan.motion.warnings
-    assert any("axes.Y: the reference needs" in text and "27 A" in text for text in said)
+    messages = plan.motion.warnings
+    assert any("axes.Y: the reference needs" in text and "27 A" in text for text in messages)
 
 
 def test_limits_are_checked_before_anything_is_put_out(seam, machine):

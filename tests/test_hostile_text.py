@@ -139,10 +139,10 @@ def test_plcopen_is_the_same_project(text: str) -> None:
 
 @EVERY
 def test_a_comment_of_a_part_program_is_none_of_its_words(text: str) -> None:
-    said = nc_comment(text)
-    assert said.isascii()
-    assert said.isprintable()
-    assert not set(said) & set("();%#")
+    message = nc_comment(text)
+    assert message.isascii()
+    assert message.isprintable()
+    assert not set(message) & set("();%#")
 
 
 @pytest.mark.linuxcnc
@@ -160,10 +160,10 @@ def test_linuxcnc_takes_no_word_of_a_comment(tmp_path: Path) -> None:
         other = replace(job, operations=Stream.of(named))
         program = "\n".join(part_program_lines(other, machine, style="linuxcnc")) + "\n"
         (tmp_path / name).write_text(program, encoding="utf-8")
-        said = interpreted(rs274, tmp_path / name)
-        assert "PROGRAM_END" in said
+        output = interpreted(rs274, tmp_path / name)
+        assert "PROGRAM_END" in output
         # The line number, the call, and the message without the text of comments.
-        calls = re.findall(r"\b([A-Z_]+\([^\"]*?\))$", said, re.M)
+        calls = re.findall(r"\b([A-Z_]+\([^\"]*?\))$", output, re.M)
         return [call for call in calls if not call.startswith(("COMMENT", "MESSAGE"))]
 
     wanted = moves("plain.ngc", [])

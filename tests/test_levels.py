@@ -363,14 +363,14 @@ def test_the_default_is_repeated_and_levels_exclude_each_other(
     with pytest.raises(OptionError, match="unknown level 'sure'"):
         tl.prove(EXAMPLES / "x-180.prg", "lathe-winder", level="sure")
     job = [str(EXAMPLES / "x-180.prg"), "-m", "lathe-winder"]
-    for words, said in (
+    for words, message in (
         ([], "repeated: 20 runs"),
         (["--nominal"], "nominal: 1 run"),
         (["--repeats", "3"], "nominal: 3 runs"),
     ):
         with pytest.raises(SystemExit):
             main(["prove", *job, *words])
-        assert said in capsys.readouterr().out.splitlines()[-1]
+        assert message in capsys.readouterr().out.splitlines()[-1]
     with pytest.raises(SystemExit) as ended:
         main(["prove", *job, "--nominal", "--tolerances"])
     assert ended.value.code == 2

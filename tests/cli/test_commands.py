@@ -250,7 +250,7 @@ def test_feed_mode_sets_the_length_over_which_f_is_the_speed(
 
 
 @pytest.mark.parametrize(
-    ("options", "said"),
+    ("options", "message"),
     [
         (["--feed-mode", "cadfill"], "F cannot be read as 'cadfill'"),
         (["--feed-mode", "base-axes"], "base axes go with the feed mode base-axes"),
@@ -259,11 +259,11 @@ def test_feed_mode_sets_the_length_over_which_f_is_the_speed(
     ],
 )
 def test_a_meaning_that_f_cannot_have_is_refused(
-    options: list[str], said: str, examples: Path, capsys: pytest.CaptureFixture[str]
+    options: list[str], message: str, examples: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     code, out, err = run(capsys, "prove", examples / "x-180.prg", "-m", "lathe-winder", *options)
     assert (code, out) == (2, "")
-    assert said in err
+    assert message in err
 
 
 def test_report_and_table_files(

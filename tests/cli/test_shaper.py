@@ -97,8 +97,8 @@ def test_a_doubted_ratio_is_that_of_the_named_eigenvalue(
 ) -> None:
     """The printed eigenvalue has the mode's modulus and the printed ratio."""
     _, out, _ = run(capsys, "shaper", "--mode", "0.1Hz", "--damping", "0.1", "--json")
-    (said,) = json.loads(out)["warnings"]
-    found = re.search(r"eigenvalue (\S+) \+- (\S+)j 1/s has the ratio (\S+),", said)
+    (warning,) = json.loads(out)["warnings"]
+    found = re.search(r"eigenvalue (\S+) \+- (\S+)j 1/s has the ratio (\S+),", warning)
     assert found is not None
     eigenvalue = complex(float(found[1]), float(found[2]))
     # Both are printed to four digits.

@@ -43,9 +43,9 @@ def answer(words: list[str], status: int, capsys: pytest.CaptureFixture[str]) ->
     return output.out + output.err
 
 
-def shows(page: str, said: str) -> bool:
+def shows(page: str, message: str) -> bool:
     """Return whether a line of a page is the beginning of a printed line."""
-    wanted, found = page.split(), said.split()
+    wanted, found = page.split(), message.split()
     return len(wanted) <= len(found) and all(map(same, wanted, found))
 
 
@@ -69,15 +69,15 @@ def test_a_tutorial_runs_and_shows_what_its_commands_answer(
     (tmp_path / "examples").symlink_to(ROOT / "examples")
     blank_pictures(monkeypatch)
     verbs: list[str] = []
-    said = ""
+    message = ""
     for kind, block in FENCE.findall(page.read_text(encoding="utf-8")):
         if kind == "sh":
             commands = commands_of(block)
             verbs += [words[0] for words, _ in commands]
-            said = "\n".join(answer(words, status, capsys) for words, status in commands)
+            message = "\n".join(answer(words, status, capsys) for words, status in commands)
         elif kind == "text":
             for line in block.splitlines():
-                assert any(shows(line, other) for other in said.splitlines()), (line, said)
+                assert any(shows(line, other) for other in message.splitlines()), (line, message)
     assert "run" in verbs
 
 

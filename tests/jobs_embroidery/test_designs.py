@@ -80,8 +80,8 @@ def test_a_run_without_a_stitch_is_travel_and_events_keep_their_place(tmp_path: 
     assert list(moves(job)) == [
         (0, 0, 1, 1), (5, 0, 2, 1), (35, 7, 0, 1), (38, 10, 3, 2), (47, 19, 0, 2),
     ]  # fmt: skip
-    told = [item.name if isinstance(item, ToolEvent) else type(item) for item in job]
-    assert told == [Move, Move, "trim", Move, "colour", Move, Move, Stop]
+    kinds = [item.name if isinstance(item, ToolEvent) else type(item) for item in job]
+    assert kinds == [Move, Move, "trim", Move, "colour", Move, Move, Stop]
     assert [item.source.line for item in job] == [1, 2, 3, 5, 5, 7, 9, 9]
 
 
@@ -93,7 +93,7 @@ def test_stitches_that_lead_nowhere_are_told(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "content", "said"),
+    ("name", "content", "message"),
     [
         ("a.exp", b"", "no stitch in the design"),
         ("a.exp", exp(jump(5, 5)), "no stitch in the design"),
@@ -106,9 +106,9 @@ def test_stitches_that_lead_nowhere_are_told(tmp_path: Path) -> None:
     ],
 )
 def test_file_without_a_design_is_refused_in_one_line(
-    name: str, content: bytes, said: str, tmp_path: Path
+    name: str, content: bytes, message: str, tmp_path: Path
 ) -> None:
-    with pytest.raises(JobError, match=said) as refused:
+    with pytest.raises(JobError, match=message) as refused:
         read(tmp_path, content, name)
     assert "\n" not in str(refused.value)
 
@@ -165,9 +165,9 @@ def test_a_long_stitch_is_sewn_alike_with_jumps_and_without(
         found = list(moves(job))[-5:]
         second = found[1] if asked != "split" else found[-4]
         origin = (second[0], second[1])
-        told = [((x - origin[0], y - origin[1]), n) for x, y, n, _ in found[-3:]]
-        assert told == parts
-        assert any("--long-stitches" in said for said in job.warnings) == (
+        last_stitches = [((x - origin[0], y - origin[1]), n) for x, y, n, _ in found[-3:]]
+        assert last_stitches == parts
+        assert any("--long-stitches" in warning for warning in job.warnings) == (
             suffix == "vp3" or asked == "split"
         )
 

@@ -226,7 +226,7 @@ def test_jumps_trims_and_colours_of_a_pes_keep_their_places() -> None:
 
 
 @pytest.mark.parametrize(
-    ("content", "said"),
+    ("content", "message"),
     [
         (b"#PES0001", "it is cut off at byte 8, in its header"),
         (b"not a design at all", "does not begin with #PES"),
@@ -238,8 +238,8 @@ def test_jumps_trims_and_colours_of_a_pes_keep_their_places() -> None:
         (pes(b"\x01\x01\xfe\xb0")[:554], "its records are cut off at byte 554"),
     ],
 )
-def test_malformed_pes_is_refused_with_the_byte(content: bytes, said: str) -> None:
-    with pytest.raises(JobError, match=said):
+def test_malformed_pes_is_refused_with_the_byte(content: bytes, message: str) -> None:
+    with pytest.raises(JobError, match=message):
         read_pes(content, Place("a.pes"))
 
 

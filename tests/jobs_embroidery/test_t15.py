@@ -82,7 +82,7 @@ def test_the_example_as_a_card_is_the_same_design(examples: Path, tmp_path: Path
 
 
 @pytest.mark.parametrize(
-    ("content", "said"),
+    ("content", "message"),
     [
         (b"", "0 bytes"),
         (bytes(600), "its header says 0, 0, 0"),
@@ -99,11 +99,11 @@ def test_the_example_as_a_card_is_the_same_design(examples: Path, tmp_path: Path
     ],
 )
 def test_unknown_t15_code_is_refused_with_offset_and_byte(
-    content: bytes, said: str, tmp_path: Path
+    content: bytes, message: str, tmp_path: Path
 ) -> None:
     file = tmp_path / "a.t15"
     file.write_bytes(content)
-    with pytest.raises(JobError, match=said):
+    with pytest.raises(JobError, match=message):
         read_job(file, MACHINE)
 
 

@@ -115,10 +115,10 @@ def test_the_marks_of_a_design_follow_its_planned_speeds(
         main(["compile", str(short_and_long), "-m", "schiffli-frame", "--target", "u01",
               "-o", str(out)])  # fmt: skip
     assert not left.value.code
-    said = capsys.readouterr().out
+    output = capsys.readouterr().out
     plan = plan_job(open_job(short_and_long, MACHINE, Options()), MACHINE, Options()).stitched
     slow, facts = two_speeds(plan.turns.turn_s)
-    assert facts[0] in said
+    assert facts[0] in output
     assert 0 < slow.sum() < len(slow)
     paces, now = [], False
     for item in items_of(read_job(out, MACHINE)):

@@ -350,8 +350,8 @@ def test_a_cone_between_cylinders(tmp_path: Path) -> None:
     )
     assert one.circuit.left.radius_m == pytest.approx(0.04, abs=1e-12)
     # The foot of the cone is a hollow corner, which is reported before winding.
-    said = bridged(one)
-    assert said is not None and "bridges the hollow of the mandrel at 299" in said
+    message = bridged(one)
+    assert message is not None and "bridges the hollow of the mandrel at 299" in message
 
 
 def test_a_nose_cone_says_the_build_up_at_its_tip(tmp_path: Path) -> None:

@@ -111,7 +111,7 @@ def test_the_layers_are_designed_once(
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("words", "message"),
     [
         (("-o", "a.prg"), "--out and --machine belong together"),
         (("-m", "lathe-winder"), "--out and --machine belong together"),
@@ -129,17 +129,17 @@ def test_passes_that_cannot_be_written_are_refused(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
     words: tuple[str, ...],
-    said: str,
+    message: str,
 ) -> None:
     monkeypatch.chdir(tmp_path)
     Path("tube.wind.toml").write_text(TUBE)
     assert run("wind", "tube.wind.toml", *words) == 2
-    assert said in capsys.readouterr().err
+    assert message in capsys.readouterr().err
     assert [path.name for path in tmp_path.iterdir()] == ["tube.wind.toml"]
 
 
 @pytest.mark.parametrize(
-    ("target", "said"),
+    ("target", "message"),
     [
         ("grbl", "grbl has no subprograms"),
         ("fluidnc", "FluidNC has no subprograms"),
@@ -154,14 +154,14 @@ def test_a_firmware_without_subprograms_is_named(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
     target: str,
-    said: str,
+    message: str,
 ) -> None:
     monkeypatch.chdir(tmp_path)
     Path("tube.wind.toml").write_text(TUBE)
     words = ("-m", "lathe-winder", "--target", target, "--passes", "-o", "a.out")
     assert run("compile", "tube.wind.toml", *words) == 2
     error = capsys.readouterr().err
-    assert said in error and "winder, linuxcnc and fanuc" in error
+    assert message in error and "winder, linuxcnc and fanuc" in error
     assert [path.name for path in tmp_path.iterdir()] == ["tube.wind.toml"]
 
 

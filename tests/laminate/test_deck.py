@@ -61,14 +61,14 @@ def test_bad_loads_are_refused_and_nothing_is_written(
 ) -> None:
     file = tmp_path / "short.wind.toml"
     file.write_text(SHORT + LAYERS, encoding="utf-8")
-    for words, said in (
+    for words, message in (
         (("--pressure", "10 bar"), "Add --deck NAME.inp"),
         (("--pressure", "0 bar", "--deck", tmp_path / "a.inp"), "above 0 and at most 10000 bar"),
         (("--pressure", "20000 bar", "--deck", tmp_path / "a.inp"), "at most 10000 bar"),
         (("--pressure", "10 mm", "--deck", tmp_path / "a.inp"), "--pressure"),
     ):
         code, out, err = run(capsys, file, *words)
-        assert (code, out) == (2, "") and said in err
+        assert (code, out) == (2, "") and message in err
     assert list(tmp_path.iterdir()) == [file]
 
 

@@ -38,10 +38,10 @@ class Wire:
         self.sent: list[Message] = []
         self.before_play: Callable[[], None] = lambda: None
         counts = np.zeros(len(machine.axes), dtype=np.int64) if start is None else start
-        self.machine = simulated_of(machine)(machine, counts, self._told, fault)
+        self.machine = simulated_of(machine)(machine, counts, self._receive, fault)
         self.machine.greet()
 
-    def _told(self, message: Message) -> None:
+    def _receive(self, message: Message) -> None:
         self._answers.append(decoded(message.encoded()[4:]))
 
     def fileno(self) -> int:

@@ -63,7 +63,7 @@ class GrblModel(threading.Thread):
         self.blocks: deque[tuple[np.ndarray, float]] = deque()
         self.target, self.feed, self.rapid = np.zeros(4), 0.0, True
         self.ahead_s = 0.0
-        self.overrides = self.told_overrides = (100, 100, 100)
+        self.overrides = self.reported_overrides = (100, 100, 100)
         self.overridable = True
         self.at_stop = False
         self.client: socket.socket | None = None
@@ -144,8 +144,8 @@ class GrblModel(threading.Thread):
             if not self.stuck:
                 free = f"{self.room - len(self.blocks)},{self.characters}"
                 overrides = ""
-                if self.overrides != self.told_overrides:
-                    self.told_overrides = self.overrides
+                if self.overrides != self.reported_overrides:
+                    self.reported_overrides = self.overrides
                     overrides = f"|Ov:{','.join(map(str, self.overrides))}"
                 self._say(f"<{state}|MPos:{place}|Bf:{free}|FS:0,0{overrides}>")
         elif byte in (0x85, ord("!")) and self.state == "Jog":  # lines in the buffer stay there

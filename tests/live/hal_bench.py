@@ -146,7 +146,7 @@ class Recorded(HalSession):
 
 
 def left_samples(machine: Machine) -> np.ndarray:
-    """Return the records that the sampler still holds unread; as ``told_in``."""
+    """Return the records that the sampler still holds unread; as ``commanded_in``."""
     axes, tick_s = len(machine.axes), float(machine.tick_clock.period_s)
     depth = int(hal_session.SAMPLED_S / tick_s) + 100
     fifo = HalFifo(SAMPLER_KEY, depth, "ss" + "ff" * axes)
@@ -155,7 +155,7 @@ def left_samples(machine: Machine) -> np.ndarray:
     return np.column_stack([words[:, 0], numbers[:, 2 : 2 + axes]]).astype(np.float64)
 
 
-def told_in(box: Path, axes: int) -> np.ndarray:
+def commanded_in(box: Path, axes: int) -> np.ndarray:
     """Return (n, 1 + axes) record numbers and commanded counts, as the black box has them."""
     return np.frombuffer(box.read_bytes()).reshape(-1, 1 + axes)
 

@@ -61,8 +61,8 @@ def run(
         main(["run", str(job), "-m", "stepper-winder", "--nominal", "--json", "--link",
               f"grbl:{model.address}", "--store", str(job.parent / "runs"), *words])  # fmt: skip
     model.close()
-    said = capsys.readouterr().out
-    return int(str(ended.value.code)), json.loads(said) if said else {}
+    output = capsys.readouterr().out
+    return int(str(ended.value.code)), json.loads(output) if output else {}
 
 
 def test_after_a_loss_of_power_it_is_approached_and_done_from_a_line_on(

@@ -198,14 +198,14 @@ def test_a_stop_is_ahead_of_what_was_sent_and_drops_it() -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message"),
     [
         ("T7\n", r"refused 'T7': error:20, it does not know this command"),
         ("alarm", "ALARM:1, a limit switch was hit, and its position is lost"),
         ("beside", "beside the lines"),
     ],
 )
-def test_error_of_grbl_stops_the_run_with_a_fault(text: str, said: str) -> None:
+def test_error_of_grbl_stops_the_run_with_a_fault(text: str, message: str) -> None:
     model = GrblModel(settings())
     with meeting(model) as (one, _, _):
         lines = LINES.splitlines(keepends=True)
@@ -217,7 +217,7 @@ def test_error_of_grbl_stops_the_run_with_a_fault(text: str, said: str) -> None:
             model.beside_mm = 20.0
         go_on(one)
         assert one.state is State.FAULT
-        assert said.replace("\\", "") in (one.ended or ("", ""))[1]
+        assert message.replace("\\", "") in (one.ended or ("", ""))[1]
         assert not model.blocks
         assert model.heard.rstrip(b"?").endswith(b"\x18")
 
@@ -264,16 +264,18 @@ def test_moving_controller_is_refused_at_the_meeting() -> None:
 
 
 @pytest.mark.parametrize(
-    ("number", "factor", "said"),
+    ("number", "factor", "message"),
     [(100, 1.01, "the steps of X"), (103, 0.99, "the steps of A"), (110, 1.1, "the speed of X"),
      (123, 2.0, "the acceleration of A")],
 )  # fmt: skip
-def test_a_controller_of_another_machine_is_refused(number: int, factor: float, said: str) -> None:
+def test_a_controller_of_another_machine_is_refused(
+    number: int, factor: float, message: str
+) -> None:
     """grbl plans by its settings: they must equal the machine file's limits, or be slower."""
     wrong = settings()
     wrong[number] *= factor
     model = GrblModel(wrong)
-    with meeting(model) as (one, _, _), pytest.raises(CommandError, match=said):
+    with meeting(model) as (one, _, _), pytest.raises(CommandError, match=message):
         one.controller.meet()
     assert b"G1" not in model.heard
 

@@ -209,9 +209,9 @@ def test_a_hold_that_nobody_can_end_is_stopped(
     monkeypatch.setattr(keys, "_pressed", lambda _: None)
     keys.step(run)
     assert desk.take() is (Cause.STOP if alone else None)
-    said = capsys.readouterr().err
-    assert "holding: its door is open; " in said
-    assert ("nobody is at the keyboard" in said) is alone
+    errors = capsys.readouterr().err
+    assert "holding: its door is open; " in errors
+    assert ("nobody is at the keyboard" in errors) is alone
     assert (run.stopped_by == "Threadline: nobody is at the keyboard to resume") is alone
     desk.close()
 
@@ -483,7 +483,7 @@ def test_an_override_from_before_a_run_is_one_of_it_unless_a_reset_ended_it(last
         one.home()
         model.overrides = (120, 100, 100)
         until = time.monotonic() + PATIENCE_S
-        while model.told_overrides != model.overrides and time.monotonic() < until:
+        while model.reported_overrides != model.overrides and time.monotonic() < until:
             one.stand(0.05)
         for _ in range(5):  # the link reads the report
             one.stand(0.05)

@@ -28,7 +28,7 @@ AT = 200  # at 10 counts per tick, on the way out
 
 
 @pytest.mark.parametrize(
-    ("kind", "where", "said", "within_ticks"),
+    ("kind", "where", "message", "within_ticks"),
     [
         # Twice the lag of 29 ms at 36 mm/s and 1 mm are 3.1 mm of following error, 2.1 mm more
         # than a sound machine has: that takes 58 ms, and the report after it.
@@ -40,14 +40,14 @@ AT = 200  # at 10 counts per tick, on the way out
         ("one-late-tick", "", "a tick came 6 periods late", 5),
     ],
 )
-def test_a_fault_brakes_on_the_path(kind: str, where: str, said: str, within_ticks: int) -> None:
+def test_a_fault_brakes_on_the_path(kind: str, where: str, message: str, within_ticks: int) -> None:
     bench = Bench(fault=SimFault(kind, AT, where)).ready()
     bench.executor.start(TABLE)
     bench.go_on()
     assert bench.executor.state is State.FAULT
     ended, text = bench.executor.ended or (None, "")
     assert ended is RunEnd.FAULT
-    assert said in text
+    assert message in text
     tripped = next(tick for tick, state, _, _ in bench.kept.log if state is State.FAULT)
     assert AT <= tripped <= AT + within_ticks + 5
     # 10 counts per tick brake within 4 ticks, on the path: A turns a count for each of X.
@@ -68,12 +68,12 @@ def report_of(commanded: np.ndarray, read: np.ndarray) -> dict[str, np.ndarray]:
 
 def test_an_axis_that_falls_behind_is_a_fault_at_twice_its_lag_and_1_mm() -> None:
     """At 36 mm/s the lag is 29.4 ms: 1.06 mm behind is sound, and 3.1 mm is the limit."""
-    told = 0.036 * 0.005 * np.arange(400)
+    positions_m = 0.036 * 0.005 * np.arange(400)
     for behind, trips in ((1.06e-3, False), (3.0e-3, False), (3.3e-3, True)):
         guards = Guards(winder())
-        read = np.maximum(told - behind, 0.5 * told)  # it falls behind while it moves
+        read = np.maximum(positions_m - behind, 0.5 * positions_m)  # it falls behind while it moves
         found = [
-            guards.trip(at, report_of(told[at : at + 5], read[at : at + 5]), False, 0.0)
+            guards.trip(at, report_of(positions_m[at : at + 5], read[at : at + 5]), False, 0.0)
             for at in range(0, 400, 5)
         ]
         assert any(found) is trips, behind
@@ -220,7 +220,7 @@ def test_the_lag_is_the_models() -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message"),
     [
         ("stuck-encoder:Q@1 s", "has no 'Q'"),
         ("stuck-encoder@1 s", "does not say where"),
@@ -232,8 +232,8 @@ def test_the_lag_is_the_models() -> None:
         ("stuck-encoder:X@1e300 s", "'1e300 s' is no time of a run"),
     ],
 )
-def test_a_fault_that_there_is_not_is_refused(text: str, said: str) -> None:
-    with pytest.raises(OptionError, match=said):
+def test_a_fault_that_there_is_not_is_refused(text: str, message: str) -> None:
+    with pytest.raises(OptionError, match=message):
         parse_fault(text, winder())
 
 

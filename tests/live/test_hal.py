@@ -18,11 +18,11 @@ from tests.live.bench import table_of_counts, there_and_back, winder
 from tests.live.hal_bench import (
     awake,
     bridge,
+    commanded_in,
     execute,
     hal_alone,
     left_samples,
     refuse_slept,
-    told_in,
     unhurried,
 )
 from tests.live.kill_bench import child
@@ -113,11 +113,11 @@ def test_a_program_runs_and_is_labelled(tmp_path: Path, capsys: pytest.CaptureFi
             main(["run", str(job), "-m", "lathe-winder", "--link", "hal:plant", "--json",
                   "--interpolation", "b-spline", "--feed", "40count/tick", "--override", "a test",
                   "--nominal", *store])  # fmt: skip
-        said = capsys.readouterr()
+        captured = capsys.readouterr()
         if ended.value.code != 3:
             break
-    assert ended.value.code == 1, said.err
-    content = json.loads(said.out)
+    assert ended.value.code == 1, captured.err
+    content = json.loads(captured.out)
     assert content["label"] == "HAL's plant, a lag for each axis: not the machine"
     statuses = {one["name"]: one["status"] for one in content["criteria"]}
     assert statuses["contour_error"] == "not-measured"
@@ -164,7 +164,7 @@ def test_hold_resume_and_stop(tmp_path: Path) -> None:
 
 def on_path(box: Path) -> tuple[np.ndarray, np.ndarray]:
     """Return counts of X and A; A turns one count for each of X, forth and back."""
-    counts = told_in(box, 3)
+    counts = commanded_in(box, 3)
     a, x = counts[:, 1], counts[:, 2]
     way = np.cumsum(np.abs(np.diff(x, prepend=0.0)))
     assert np.abs(a - way).max() <= 2.0  # a count of rounding each way
@@ -173,7 +173,7 @@ def on_path(box: Path) -> tuple[np.ndarray, np.ndarray]:
 
 def ends_at_rest(box: Path) -> bool:
     """Return whether the rows themselves come to rest, without HAL holding the last one."""
-    commanded = told_in(box, 3)
+    commanded = commanded_in(box, 3)
     fresh = commanded[np.diff(commanded[:, 0], prepend=-1.0) > 0, 1:]
     return bool((fresh[-3:] == fresh[-1]).all())
 
@@ -219,7 +219,7 @@ def test_a_stop_brakes_along_the_path_and_the_rest_is_done(tmp_path: Path) -> No
         )
     refuse_slept(ended[:2])
     assert ended[:2] == (RunEnd.COMPLETED, "")
-    references = told_in(tmp_path / "rest", 3)[:, 1:]
+    references = commanded_in(tmp_path / "rest", 3)[:, 1:]
     assert (references[-1] == ROWS.sum(axis=0)).all()
     there = int(np.flatnonzero((references == begins).all(axis=1))[0])
     moved = np.diff(references[: there + 1], axis=0) != 0.0
@@ -258,7 +258,7 @@ def test_a_jog_at_manual_feed_ends_by_itself(gone: bool, tmp_path: Path) -> None
             assert "nobody has renewed its lease" in executor.ended[1]  # type: ignore[index]
             executor.close()
     desk.close()
-    commanded = told_in(box, 3)[:, 2]
+    commanded = commanded_in(box, 3)[:, 2]
     assert renewed_at > 0.02 * X_M, "it was on its way"
     assert (commanded[-5:] == commanded[-1]).all()
     assert commanded[-1] - renewed_at <= (0.010 if gone else 0.026) * X_M
@@ -288,10 +288,10 @@ def killed(tick: int, folder: Path, whom: str) -> np.ndarray:
     with bridge(winder(), ZERO, box, plant=False) as far:
         there, here = os.pipe()
 
-        def run(end: socket.socket = far.end, told: int = here) -> None:
+        def run(end: socket.socket = far.end, signal_end: int = here) -> None:
             execute(
                 end, winder(), table_of_counts(ROWS),
-                lambda executor, _: os.write(told, b"!") if executor.tick >= tick else None,
+                lambda executor, _: os.write(signal_end, b"!") if executor.tick >= tick else None,
             )  # fmt: skip
 
         pid = child(run)
@@ -300,7 +300,7 @@ def killed(tick: int, folder: Path, whom: str) -> np.ndarray:
             os.close(here)  # killed by this test: if the run ends before, nothing is read
             assert os.read(there, 1) == b"!", "this computer slept, and the run ended before"
             os.kill(pid if whom == "executor" else far.pid, signal.SIGKILL)
-            seen = len(told_in(box, 3)) if box.exists() else 0
+            seen = len(commanded_in(box, 3)) if box.exists() else 0
             if whom == "bridge":
                 time.sleep(1.0)  # longer than the content of the fifo
                 with box.open("ab") as more:

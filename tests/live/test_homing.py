@@ -84,7 +84,7 @@ def test_a_run_that_is_stopped_while_it_homes_never_begins() -> None:
             if message.kind == "home":
                 desk.ask(Cause.STOP)
             elif message.kind == "stop-home":
-                self._told(Message("refused", {"what": "home", "why": "it was stopped"}))
+                self._receive(Message("refused", {"what": "home", "why": "it was stopped"}))
             else:
                 super().send(message)
 
@@ -110,7 +110,7 @@ def test_a_braking_that_is_refused_comes_again_later(cause: Cause) -> None:
     def take(message: Message) -> None:
         if message.kind == "refill" and asked and not refused:
             refused.append(int(message.head["first"]))
-            bench.wire._told(Message("refused", {"what": "refill", "why": "that tick is past"}))
+            bench.wire._receive(Message("refused", {"what": "refill", "why": "that tick is past"}))
         else:
             takes(message)
 

@@ -186,7 +186,7 @@ def test_a_wait_without_its_contact_is_a_fault() -> None:
 
 
 @pytest.mark.parametrize(
-    ("message", "said"),
+    ("message", "expected_text"),
     [
         ("light-grid@3.7 s", "light_grid is off: a broken beam"),
         ("stuck-contact:z_is_up@0.5 s", "z_is_up and z_is_down are on together"),
@@ -197,13 +197,13 @@ def test_a_wait_without_its_contact_is_a_fault() -> None:
         ("power-loss@1 s", "the link is gone"),
     ],
 )
-def test_a_fault_switches_everything_off(message: str, said: str) -> None:
+def test_a_fault_switches_everything_off(message: str, expected_text: str) -> None:
     fault = parse_fault(message, placer())
     made = bench(fault)
     made.go_on()
     ended, text = made.executor.ended or (None, "")
     assert (made.executor.state, ended) == (State.FAULT, RunEnd.FAULT)
-    assert said in text
+    assert expected_text in text
     tripped = next(tick for tick, state, _, _ in made.kept.log if state is State.FAULT)
     assert not outputs(made)[10 * tripped :].any()
     if not message.startswith("stuck"):

@@ -77,9 +77,9 @@ def proven(folder: Path, machine: str = "lathe-winder") -> tuple[dict[str, Any],
         slower = seam.replace("40 stitch/s", "30 stitch/s")  # the motors keep their speed limit
         assert slower != seam
         (folder / asked.program).write_text(slower, "utf-8")
-    told = {**asked.model_dump(exclude={"what"}), "proof_file": str(folder / "proof.json")}
-    return told, calculate(
-        {**told, "folder": str(folder), "machine": machine, "par": None, "spec": None}
+    request = {**asked.model_dump(exclude={"what"}), "proof_file": str(folder / "proof.json")}
+    return request, calculate(
+        {**request, "folder": str(folder), "machine": machine, "par": None, "spec": None}
     )
 
 

@@ -152,16 +152,16 @@ def typed(anna: Operator, line: str) -> str:
     return anna.act("console", line=line)
 
 
-def said(anna: Operator, kind: str = "heard") -> list[str]:
+def messages_of(anna: Operator, kind: str = "heard") -> list[str]:
     """Return the console lines shown so far."""
-    lines = [one for told in anna.heard if told["type"] == "console" for one in told["lines"]]
+    lines = [one for event in anna.heard if event["type"] == "console" for one in event["lines"]]
     return [one["text"] for one in lines if one["kind"] == kind]
 
 
 def boards(anna: Operator) -> list[dict[int, dict[str, Any]]]:
     """Return the settings by number, for each time that they were read."""
-    told = [one["settings"] for one in anna.heard if one["type"] == "board"]
-    return [{row["number"]: row for row in rows} for rows in told]
+    boards_seen = [one["settings"] for one in anna.heard if one["type"] == "board"]
+    return [{row["number"]: row for row in rows} for rows in boards_seen]
 
 
 def test_typed_lines_are_answered_and_a_written_setting_has_to_be_compared(
@@ -177,10 +177,10 @@ def test_typed_lines_are_answered_and_a_written_setting_has_to_be_compared(
         full = {"blocks": 0, "of_blocks": 15, "characters": 0, "of_characters": 128}
         assert anna.state["board"] == full
         assert boards(anna)[0][RATE_X]["mark"] == "same"
-        assert "[AXS:4:XYZA]" in said(anna)  # the settings were read when the link was made
+        assert "[AXS:4:XYZA]" in messages_of(anna)  # the settings were read when the link was made
         assert typed(anna, "$I") == ""
-        wait(anna, lambda: said(anna).count("[AXS:4:XYZA]") == 2)
-        assert said(anna, "typed") == ["$I"]
+        wait(anna, lambda: messages_of(anna).count("[AXS:4:XYZA]") == 2)
+        assert messages_of(anna, "typed") == ["$I"]
         assert anna.state["state"] == "idle"
         assert "it moves" in typed(anna, "G0 X10")
         assert "a line has no lease" in typed(anna, "$J=X10F100")

@@ -114,8 +114,8 @@ def test_a_preview_is_read_by_anyone_and_says_why_there_is_none(folder: Path) ->
     apart = asyncio.run(own.preview("there.prg"))
     with served(folder) as client:
         answer = client.get("/api/programs/there.prg/preview")
-        told: dict[str, Any] = answer.json()
-        assert Preview.model_validate(told) == Preview.model_validate_json(apart)
+        view: dict[str, Any] = answer.json()
+        assert Preview.model_validate(view) == Preview.model_validate_json(apart)
         for name, why in (("bad.prg", "bad.prg:2"), ("none.prg", "none.prg"), ("..%2Fx.prg", "")):
             refused = client.get(f"/api/programs/{name}/preview")
             assert refused.status_code in (404, 422)

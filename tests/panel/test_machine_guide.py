@@ -27,8 +27,8 @@ def test_the_guide_is_that_of_the_machine_file(
     assert [one["title"] for one in found["tables"]] == [table.title for table in wanted]
     assert found["tables"][-1]["title"] == "Calibration, step by step"
     assert found["tables"][-1]["note"]
-    for told, table in zip(found["tables"], wanted, strict=True):
-        assert told["rows"] == [list(row) for row in table.rows]
+    for rows, table in zip(found["tables"], wanted, strict=True):
+        assert rows["rows"] == [list(row) for row in table.rows]
     assert printable.headers["content-type"] == "application/pdf"
     assert printable.content.startswith(b"%PDF")
     assert list(folder.glob("*")) == []

@@ -57,9 +57,9 @@ def test_the_trace_after_a_run_and_its_export(
     exported, recorded = read_recording(file), read_recording(kept)
     measured = recorded.samples("X.measured")[1]
     assert exported.samples("X.measured")[1] == pytest.approx(measured, abs=1e-9)
-    told = thinned(recorded)["axes"]["X"]
+    trace = thinned(recorded)["axes"]["X"]
     deviation = recorded.samples("X.load")[1] - recorded.samples("X.commanded")[1]
-    shown = np.array(told["actual"]) - np.array(told["commanded"])
+    shown = np.array(trace["actual"]) - np.array(trace["commanded"])
     assert np.abs(shown).max() == pytest.approx(np.abs(deviation).max(), abs=2e-8)
     with page.expect_download(timeout=120_000) as download:
         press(page, "Report")

@@ -56,10 +56,10 @@ def test_another_process_finds_the_same() -> None:
 
 def test_the_owner_stays_small() -> None:
     """In its own process the simulation takes more than 50 MB, which are not returned."""
-    told = subprocess.run(
+    done = subprocess.run(
         [sys.executable, "-c", STAYS_SMALL], check=True, capture_output=True, text=True
     )
-    assert float(told.stdout) < 10.0
+    assert float(done.stdout) < 10.0
 
 
 def test_a_process_that_cannot_be_started_refuses_the_start(
@@ -112,6 +112,6 @@ def test_a_judge_that_fails_is_told_in_place_of_a_verdict(
         anna.see("idle")
         while not anna.until("state")["progress"]["verdict"]:
             pass
-        told = anna.state["progress"]["verdict"]
-        assert told.startswith("NOT JUDGED: the process that judges has ended without an answer")
+        verdict = anna.state["progress"]["verdict"]
+        assert verdict.startswith("NOT JUDGED: the process that judges has ended without an answer")
         assert anna.state["busy"] == ""

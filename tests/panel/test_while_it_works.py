@@ -136,16 +136,16 @@ def test_a_machine_is_switched_off_while_a_program_is_calculated(
 
 def calculated(folder: Path, what: Any) -> list[Figures | str]:
     """Run a function on a calculation in an event loop, and return its messages."""
-    told: list[Figures | str] = []
+    answers: list[Figures | str] = []
 
     async def work() -> None:
         calculation = Calculation(winder(), None, folder, folder)
-        await what(calculation, told.append)
+        await what(calculation, answers.append)
         assert calculation.share is None
         await calculation.close()
 
     asyncio.run(work())
-    return told
+    return answers
 
 
 @pytest.mark.parametrize("turns", [0, 1, 2, 5])
@@ -188,9 +188,9 @@ def test_a_calculation_that_cannot_be_started_is_told_and_over(
             while calculation.share is not None:
                 await asyncio.sleep(0.01)
 
-    (told,) = calculated(tmp_path, refused)
-    assert isinstance(told, str)
-    assert says in told
+    (answer,) = calculated(tmp_path, refused)
+    assert isinstance(answer, str)
+    assert says in answer
 
 
 # --- a link that is lost ------------------------------------------------------------------
@@ -304,6 +304,6 @@ def test_errors_of_asyncio_are_written(
         )
 
     asyncio.run(work())
-    said = capsys.readouterr().err
-    assert "error of the panel: no files left" in said
-    assert "at the end" not in said
+    errors = capsys.readouterr().err
+    assert "error of the panel: no files left" in errors
+    assert "at the end" not in errors

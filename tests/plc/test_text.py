@@ -228,11 +228,11 @@ def test_the_time_of_a_scan_is_told_and_a_long_list_takes_little_more(
     made = compile_schedule(read_job(file, machine), machine)
     monkeypatch.setattr(structured_text_module, "_LARGE_KB", 100.0 if pairs == 1 else 10.0)
     for write in (write_structured_text, write_openplc):
-        told = write(made, tmp_path / "a.st")[0]
-        (fact,) = told.facts
+        warning = write(made, tmp_path / "a.st")[0]
+        (fact,) = warning.facts
         assert f"{(tmp_path / 'a.st').stat().st_size / 1e3:.0f} kB of text" in fact
-        assert any("kB of text" in one for one in told.warnings) == (pairs > 1)
-        assert not any("ms of 10 ms" in one for one in told.warnings)
+        assert any("kB of text" in one for one in warning.warnings) == (pairs > 1)
+        assert not any("ms of 10 ms" in one for one in warning.warnings)
         text = (tmp_path / "a.st").read_text("ascii")
         body = text.partition("(* The watchdog")[2].partition("END_FUNCTION_BLOCK")[0]
         branch = re.compile(r"^ *(?:IF|ELSIF|WHILE) ", re.MULTILINE)

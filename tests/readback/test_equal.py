@@ -149,7 +149,7 @@ def test_foreign_files_are_refused_in_one_line(
     """Exit status 2 for another job, another format, no file, another kind; 1 if it differs."""
     csv = compiled(job, "csv", tmp_path)
     other = examples / "x-180.prg"
-    for files, words, said in [
+    for files, words, message in [
         ([f"csv={csv}"], [], "written for another job"),
         ([f"npz={csv}"], [], "no table of target npz"),
         ([f"csv={other}"], [], "first line is not"),
@@ -162,7 +162,7 @@ def test_foreign_files_are_refused_in_one_line(
         typed = [part for file in files for part in ("--file", file)]
         assert status(["equal", str(other), "-m", MACHINE, *typed, *words]) == 2
         error = [line for line in capsys.readouterr().err.splitlines() if line.startswith("error:")]
-        assert len(error) == 1 and said in error[0]
+        assert len(error) == 1 and message in error[0]
     with pytest.raises(InputError, match="no target was compared: t15: no reader here"):
         tl.equal(examples / "rosette.dst", "table-embroiderer", ["t15"])
 

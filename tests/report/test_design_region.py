@@ -62,5 +62,5 @@ def test_marks_stand_clear_and_axes_have_figures(
     assert box.x0 < x - half and y + half < box.y1
     assert panel.get_xticks().tolist() == pytest.approx(wanted)
     assert panel.get_yticks().tolist() == pytest.approx([0.5, 0.6, 0.7, 0.8, 0.9, 1.0])
-    said = [text.get_text() for text in figure.legends[0].get_texts()]
-    assert "in spec; lines: worst of its limit" in said
+    messages = [text.get_text() for text in figure.legends[0].get_texts()]
+    assert "in spec; lines: worst of its limit" in messages

@@ -298,8 +298,8 @@ def test_a_comparison_lists_every_case_it_was_made_from(tmp_path) -> None:
 
 def test_a_case_of_limits_alone_is_told_without_runs() -> None:
     kept = Verdict(results=(), simulated=True, limits_alone=True)
-    said = closing_of_all([kept, kept])
-    assert said.endswith("placement is not proven, the machine file has no dynamics)")
+    message = closing_of_all([kept, kept])
+    assert message.endswith("placement is not proven, the machine file has no dynamics)")
 
 
 def test_every_line_of_the_bode_plot_is_named_and_the_locus_is_free() -> None:

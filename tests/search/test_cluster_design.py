@@ -150,8 +150,11 @@ def test_a_cluster_that_would_judge_nothing_is_refused_before_it_is_asked(tmp_pa
     """No scheduler is at port 9: connecting to it would take ten seconds, with another error."""
     job = tmp_path / "turn.prg"
     job.write_text("G91\nG1 X5 F1000\nM30\n")
-    for words, told in ({}, "this search judges none"), ({"yield_": "90 %"}, "machines of yield_="):
-        with pytest.raises(OptionError, match=rf"{told}.*leave cluster= out"):
+    for words, message in (
+        ({}, "this search judges none"),
+        ({"yield_": "90 %"}, "machines of yield_="),
+    ):
+        with pytest.raises(OptionError, match=rf"{message}.*leave cluster= out"):
             tl.fastest(job, "lathe-winder", cluster="localhost:9", **words)
 
 

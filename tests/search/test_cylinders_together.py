@@ -150,6 +150,6 @@ def test_a_cycle_is_found_where_a_cylinder_goes_back_at_once(tmp_path: Path) -> 
         Question(job=read_job(file, machine), machine=machine, spec=load_spec(None, machine))
     )
     assert found.job is not None
-    told = [r for r in found.proof.verdict.results if r.name == "residual_vibration"]
-    assert {r.step for r in told} == {"start", "out", "back"}
-    assert all(r.status is Status.PASSED for r in told)
+    residuals = [r for r in found.proof.verdict.results if r.name == "residual_vibration"]
+    assert {r.step for r in residuals} == {"start", "out", "back"}
+    assert all(r.status is Status.PASSED for r in residuals)

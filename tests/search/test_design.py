@@ -96,14 +96,14 @@ def corner(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def told() -> list[tuple[str, float]]:
+def progress() -> list[tuple[str, float]]:
     """Return the progress that the search for ``result`` reported."""
     return []
 
 
 @pytest.fixture(scope="module")
 def result(
-    stitcher: Machine, spec: Spec, corner: Path, told: list[tuple[str, float]]
+    stitcher: Machine, spec: Spec, corner: Path, progress: list[tuple[str, float]]
 ) -> DesignResult:
     return design(
         corner,
@@ -111,7 +111,7 @@ def result(
         spec,
         Options(),
         Requirements(effort=ENOUGH),
-        progress=lambda what, share: told.append((what, share)),
+        progress=lambda what, share: progress.append((what, share)),
     )
 
 
@@ -204,13 +204,13 @@ def test_the_design_is_in_spec_and_nothing_cheaper_on_a_grid_is(
 
 
 def test_progress_of_a_redesign_never_falls(
-    result: DesignResult, told: list[tuple[str, float]]
+    result: DesignResult, progress: list[tuple[str, float]]
 ) -> None:
     """All stages are checked, the trade of cost for margin among them."""
     assert result.simulated > 0
-    stages = list(dict.fromkeys(what for what, _ in told))
+    stages = list(dict.fromkeys(what for what, _ in progress))
     assert stages[:3] == ["sampling", "narrowing", "trading cost for margin"]
-    shares = [share for _, share in told]
+    shares = [share for _, share in progress]
     assert shares == sorted(shares) and shares[0] >= 0.0 and shares[-1] <= 1.0
 
 
@@ -220,10 +220,10 @@ def test_printed_design_states_its_level(
     """The level is below the verdict, in the last sentence and above the other machines."""
     assert result.found is not None
     command._show(result)
-    told = capsys.readouterr().out
-    assert f"IN SPEC (repeated: {result.found.verdict.runs} runs" in told
-    assert "in spec (repeated) with belt x " in told
-    assert "of the limit, 20 runs" in told
+    output = capsys.readouterr().out
+    assert f"IN SPEC (repeated: {result.found.verdict.runs} runs" in output
+    assert "in spec (repeated) with belt x " in output
+    assert "of the limit, 20 runs" in output
 
 
 def test_candidates_are_tried_in_the_runs_that_prove_draws(

@@ -276,8 +276,10 @@ def test_a_winding_is_searched_in_one_run_and_judged_over_the_tolerances(
     assert over == sorted(over, reverse=True) and over[-2] == over[-1] <= 666.7
 
 
-@pytest.mark.parametrize(("whole", "said"), [(True, "at the level asked for"), (False, "prove it")])
-def test_the_output_says_which_feeds_were_judged_in_one_run(whole: bool, said: str) -> None:
+@pytest.mark.parametrize(
+    ("whole", "message"), [(True, "at the level asked for"), (False, "prove it")]
+)
+def test_the_output_says_which_feeds_were_judged_in_one_run(whole: bool, message: str) -> None:
     result = Result(
         name="contour_error", axis="", measured=1e-3, limit=2e-3, unit="m", status=Status.PASSED
     )
@@ -289,7 +291,9 @@ def test_the_output_says_which_feeds_were_judged_in_one_run(whole: bool, said: s
     job = FastestJob(best=candidate, candidates=(candidate,), in_one_run=True, whole=whole)
     found_by: Any = SimpleNamespace(question=SimpleNamespace(margin=0.0), of=job)
     (line,) = FeedOutput(found_by, "job")._judged()
-    assert line.startswith("the feeds of the table pass in one run of each plan") and said in line
+    assert (
+        line.startswith("the feeds of the table pass in one run of each plan") and message in line
+    )
 
 
 @pytest.mark.long(but="hoop")
@@ -321,20 +325,20 @@ def test_printed_override_gives_the_printed_time(
     asked = ["fastest", str(job), "-m", str(mill.reference), "-s", str(spec), "--nominal"]
     with pytest.raises(SystemExit) as stopped:
         main([*asked, "--json", "--high", "400 %"])
-    said = json.loads(capsys.readouterr().out)
-    assert not stopped.value.code and said["unit"] == "" and said["feed"] == "override"
-    assert said["best"] == 4.0
-    command = shlex.split(said["command"])
+    answer = json.loads(capsys.readouterr().out)
+    assert not stopped.value.code and answer["unit"] == "" and answer["feed"] == "override"
+    assert answer["best"] == 4.0
+    command = shlex.split(answer["command"])
     assert command[command.index("--feed") + 1] == "400 %"
     with pytest.raises(SystemExit) as stopped:
         main([*command[1:], "--json"])
     proved = json.loads(capsys.readouterr().out)
     assert not stopped.value.code
-    assert proved["duration_s"] == pytest.approx(said["duration_s"], rel=1e-9)
+    assert proved["duration_s"] == pytest.approx(answer["duration_s"], rel=1e-9)
 
 
 @pytest.mark.parametrize(
-    ("typed", "said"),
+    ("typed", "message"),
     [
         ("0 %", "must be greater than zero"),
         ("-5 %", "must be greater than zero"),
@@ -344,8 +348,8 @@ def test_printed_override_gives_the_printed_time(
         ("1e400 %", "finite"),
     ],
 )
-def test_a_wrong_percentage_is_named(typed: str, said: str) -> None:
-    with pytest.raises(OptionError, match=said):
+def test_a_wrong_percentage_is_named(typed: str, message: str) -> None:
+    with pytest.raises(OptionError, match=message):
         parse_feed(typed)
 
 

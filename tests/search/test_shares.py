@@ -33,7 +33,7 @@ def found() -> Fastest:
 def shares_of(
     durations: dict[float, float],
     at_top: dict[float, float],
-    told: list[float] | None = None,
+    fractions: list[float] | None = None,
     until: Deadline | None = None,
 ) -> tuple[Shares, list[float]]:
     """Shares of a search that finds these durations, and the list of searched shares."""
@@ -51,7 +51,7 @@ def shares_of(
         duration_s=lambda share, _: durations[share],
         at_top_s=lambda share: at_top[share],
         expected=4,
-        progress=None if told is None else lambda _, part: told.append(part),
+        progress=None if fractions is None else lambda _, part: fractions.append(part),
         until=until,
     )
     return shares, searched
@@ -92,15 +92,15 @@ def test_share_is_searched_if_its_highest_feed_breaks_a_limit() -> None:
 
 
 def test_progress_of_the_search_over_shares_only_grows() -> None:
-    told: list[float] = []
-    shares, _ = shares_of({1.0: 1e3, 0.5: 9e2}, {0.5: 1.0, 0.25: 9e2, 0.125: 9e2}, told)
+    fractions: list[float] = []
+    shares, _ = shares_of({1.0: 1e3, 0.5: 9e2}, {0.5: 1.0, 0.25: 9e2, 0.125: 9e2}, fractions)
     for share in (1.0, 0.5, 0.25, 0.125):
         shares.tried(share, Grid())
-    assert told == sorted(told) and told[0] == 0.0 and told[-1] == 0.75
-    assert {0.0625, 0.125, 0.25, 0.3125, 0.5} <= set(told)
+    assert fractions == sorted(fractions) and fractions[0] == 0.0 and fractions[-1] == 0.75
+    assert {0.0625, 0.125, 0.25, 0.3125, 0.5} <= set(fractions)
     for _ in range(4):
         shares.tried(1.0, Grid(near=16))
-    assert told == sorted(told) and told[-1] == 1.0
+    assert fractions == sorted(fractions) and fractions[-1] == 1.0
 
 
 def test_an_interrupt_while_the_best_is_planned_leaves_it() -> None:
@@ -310,8 +310,8 @@ def test_a_search_between_two_feeds_is_half_done_behind_the_first() -> None:
 
     As one of fifty trials, the first feed made a search of minutes look like hours.
     """
-    told: list[float] = []
-    trials = TrialShares(lambda _, share: told.append(share), "searching", 0.0)
+    fractions: list[float] = []
+    trials = TrialShares(lambda _, share: fractions.append(share), "searching", 0.0)
 
     def judged(feed: float) -> Verdict:
         trials.within(0.5)
@@ -320,9 +320,13 @@ def test_a_search_between_two_feeds_is_half_done_behind_the_first() -> None:
     highest = 100.0
     grid = Grid(points=9, near=4, between=True)
     find_fastest(judged, 0.1, 10.0, grid, trials=trials)
-    assert told == pytest.approx([0.245, 0.49, 0.735, 0.98])
-    told.clear()
-    trials, highest = TrialShares(lambda _, share: told.append(share), "searching", 0.0), 3.0
+    assert fractions == pytest.approx([0.245, 0.49, 0.735, 0.98])
+    fractions.clear()
+    trials, highest = TrialShares(lambda _, share: fractions.append(share), "searching", 0.0), 3.0
     find_fastest(judged, 0.1, 10.0, grid, trials=trials)
-    assert told == sorted(told) and told[1] == pytest.approx(0.49) and told[-1] <= 0.98
-    assert len(told) > 20
+    assert (
+        fractions == sorted(fractions)
+        and fractions[1] == pytest.approx(0.49)
+        and fractions[-1] <= 0.98
+    )
+    assert len(fractions) > 20

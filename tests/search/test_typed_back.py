@@ -169,8 +169,8 @@ def test_feeds_of_the_winder_pass_as_they_are_printed(
     assert found.intervals
     for interval in found.intervals:
         for feed in drawn(interval.low * 1e3, interval.high * 1e3):
-            told = replace(options, feed=parse_feed(f"{typed(feed)} mm/s"))
-            proof = prove_plan(plan_job(job, machine, told), spec, trials=trials)
+            typed_options = replace(options, feed=parse_feed(f"{typed(feed)} mm/s"))
+            proof = prove_plan(plan_job(job, machine, typed_options), spec, trials=trials)
             assert proof.verdict.passed and proof.verdict.level == trials.level, feed
 
 
@@ -194,8 +194,8 @@ def test_speeds_of_a_shaft_pass_as_they_are_printed(tmp_path: Path, trials: Tria
     assert found.intervals
     for interval in found.intervals:
         for speed in drawn(interval.low, interval.high):
-            told = Options(feed=parse_feed(f"{typed(60.0 * speed)} stitch/min"))
-            proof = prove_plan(plan_job(job, machine, told), spec, trials=trials)
+            typed_options = Options(feed=parse_feed(f"{typed(60.0 * speed)} stitch/min"))
+            proof = prove_plan(plan_job(job, machine, typed_options), spec, trials=trials)
             assert proof.verdict.passed, speed
 
 
@@ -219,8 +219,8 @@ def test_feeds_over_the_tolerances_pass_on_the_machines_that_they_are_of(
         actual = off_tolerance(machine, mass=cell.mass, stiffness=cell.stiffness)
         for interval in cell.intervals:
             for feed in drawn(interval.low * 1e3, interval.high * 1e3):
-                told = replace(options, feed=parse_feed(f"{typed(feed)} mm/s"))
-                proof = prove_plan(plan_job(job, machine, told), spec, actual=actual)
+                typed_options = replace(options, feed=parse_feed(f"{typed(feed)} mm/s"))
+                proof = prove_plan(plan_job(job, machine, typed_options), spec, actual=actual)
                 assert proof.verdict.passed, (cell.mass, cell.stiffness, feed)
 
 

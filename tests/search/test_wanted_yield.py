@@ -58,10 +58,10 @@ def test_rejects_are_the_machines_that_fail_alone(asked: tuple[Plan, Spec]) -> N
         made = variant(plan.machine, parts)
         alone = simulate(tick_table(plan.commands), made, encoder_phase=phase)
         failed += not judge([alone], plan, spec).passed
-    told = proof.verdict.result("rejects")
-    assert told.note == f"{failed} of 12 machines within the tolerances are out of specification"
-    assert told.measured == pytest.approx(1.0 - clopper_pearson(12 - failed, 12)[0], rel=1e-12)
-    assert (told.limit, proof.verdict.level) == (0.5, Level.YIELD)
+    rejects = proof.verdict.result("rejects")
+    assert rejects.note == f"{failed} of 12 machines within the tolerances are out of specification"
+    assert rejects.measured == pytest.approx(1.0 - clopper_pearson(12 - failed, 12)[0], rel=1e-12)
+    assert (rejects.limit, proof.verdict.level) == (0.5, Level.YIELD)
     assert 0 < failed < 12
 
 

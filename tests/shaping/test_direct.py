@@ -180,15 +180,15 @@ def test_mzv_takes_klippers_parameters(word: str, n: int, t: float, zeta: float)
         assert train.times_s == pytest.approx(at * mode.damped_period_s, abs=1e-12)
         assert simulated_vibration(train, 40.0, zeta) < 1e-10
     export = klipper_export(design(word, mode), mode)
-    said = "mzv" if word == "mzv" else f"mzv(n={n},t={t:g})"
-    assert f"shaper_type_x: {said}\n" in export.section
+    message = "mzv" if word == "mzv" else f"mzv(n={n},t={t:g})"
+    assert f"shaper_type_x: {message}\n" in export.section
     per_axis = parse_shaper(f"X={word}:40Hz:{zeta}, Y=zv:20Hz")
     assert isinstance(per_axis, dict) and set(per_axis) == {"X", "Y"}
     assert per_axis["X"].times_s == pytest.approx(at * mode.damped_period_s)
 
 
 @pytest.mark.parametrize(
-    ("word", "said"),
+    ("word", "message"),
     [
         ("mzv(n=2)", "whole number from 3"),
         ("mzv(n=nan)", "whole number from 3"),
@@ -200,10 +200,10 @@ def test_mzv_takes_klippers_parameters(word: str, n: int, t: float, zeta: float)
         ("mzv(t=x)", "not a number"),
     ],
 )
-def test_mzv_refuses_what_klipper_cannot_play(word: str, said: str) -> None:
+def test_mzv_refuses_what_klipper_cannot_play(word: str, message: str) -> None:
     with pytest.raises(OptionError) as raised:
         design(word, FlexibleMode(40.0))
-    assert said in str(raised.value)
+    assert message in str(raised.value)
 
 
 def test_klippers_ei_takes_the_tolerance() -> None:

@@ -239,19 +239,19 @@ def test_a_tolerance_that_no_speed_keeps_slows_as_far_as_the_shaft_can() -> None
 @pytest.mark.long(shown_by="test_speeds_that_keep_no_tolerance_are_said_to_be_none")
 def test_a_plan_that_keeps_no_tolerance_says_so() -> None:
     """A hundredth of a micrometre: the number of failing stitches, the worst one, and a remedy."""
-    (said,) = rosette(1e-8)[0].warnings
-    assert re.search(r"within 1e-05 mm: \d+ of 185 stitches .* at block \d, stitch \d+", said)
-    assert "larger --tolerance" in said
+    (warning,) = rosette(1e-8)[0].warnings
+    assert re.search(r"within 1e-05 mm: \d+ of 185 stitches .* at block \d, stitch \d+", warning)
+    assert "larger --tolerance" in warning
 
 
 def test_speeds_that_keep_no_tolerance_are_said_to_be_none(examples: Path) -> None:
     job = read_job(examples / "rosette.dst", MACHINE)
     assert rosette(1e-4)[0].warnings == ()
     one_speed = load_machine("schiffli-frame+one-speed")
-    (said,) = stitch(
+    (warning,) = stitch(
         read_job(examples / "rosette.dst", one_speed), one_speed, SINE, 1e-8, None
     ).warnings
-    assert "no speeds of the shaft were found" in said
+    assert "no speeds of the shaft were found" in warning
     given = stitch(job, MACHINE, SINE, 1e-8, 0.4)
     assert given.warnings == ()
 
@@ -390,8 +390,8 @@ def test_a_shaft_that_cannot_vary_takes_the_highest_speed_that_is_still_enough(
     assert 0.4 < turn_s < stitched.slowest_s / len(stitched.turns) * 1.1
     faster = np.full(len(stitched.turns), turn_s / 1.03)
     assert stitched.pace.most_swings_m(stitched.turns.moves, faster).max() > 1e-4
-    said = dict(stitch_rows(proof.plan))["Speed"]
-    assert said.startswith("one for the whole design, which the spindle cannot vary")
+    speed_text = dict(stitch_rows(proof.plan))["Speed"]
+    assert speed_text.startswith("one for the whole design, which the spindle cannot vary")
 
 
 def test_printed_speed_limit_holds_for_a_plan_at_one_speed(examples: Path) -> None:
@@ -456,8 +456,8 @@ def test_a_stitch_between_two_units_is_named_by_its_own_line(examples: Path) -> 
     targets, unit_m = run.targets.copy(), 1e-4
     x_m, y_m = targets[1] = targets[1] + [0.0, 0.25 * unit_m]
     runs[at] = replace(run, targets=targets, line=np.arange(4, 4 + len(run)))
-    said = rf"a stitch at {x_m * 1e3:g}, {y_m * 1e3:g} mm is between the units of 0\.1 mm"
-    with pytest.raises(PlanError, match=said) as caught:
+    message = rf"a stitch at {x_m * 1e3:g}, {y_m * 1e3:g} mm is between the units of 0\.1 mm"
+    with pytest.raises(PlanError, match=message) as caught:
         stitch(replace(job, operations=Stream.of(runs)), MACHINE, SINE, 5e-5, None)
     assert "rosette.dst:5:" in str(caught.value)
 

@@ -132,8 +132,8 @@ def test_every_stitch_is_a_row_of_a_table(tmp_path: Path) -> None:
         for name, scale in (("stitch_residual {} [mm]", 1e-3), ("servo_force {}", 1.0)):
             worst = max(rows, key=lambda row: float(row[name.format(axis)]))
             found = verdict.result(name.split()[0], axis)
-            told = float(worst[name.format(axis)]) * scale
-            assert told == pytest.approx(found.measured, rel=1e-5)
+            reported = float(worst[name.format(axis)]) * scale
+            assert reported == pytest.approx(found.measured, rel=1e-5)
             assert found.note.startswith(f"block {worst['block']}, stitch {worst['stitch']}")
             assert int(worst["record"]) == found.job_line
         ways = np.diff([float(row[f"{axis} [mm]"]) for row in rows])

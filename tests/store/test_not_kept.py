@@ -48,9 +48,9 @@ def test_a_machine_that_has_moved_is_no_wrong_input(
 
     monkeypatch.setattr(OpenRun, method, fail)
     assert run(tmp_path / "runs") == 3
-    said = capsys.readouterr().err.strip().splitlines()[-1]
-    assert said.startswith("error: [FAULT] the run could not be kept in ")
-    assert (error.strerror if isinstance(error, OSError) else "it is locked") in said
+    errors = capsys.readouterr().err.strip().splitlines()[-1]
+    assert errors.startswith("error: [FAULT] the run could not be kept in ")
+    assert (error.strerror if isinstance(error, OSError) else "it is locked") in errors
 
 
 def test_an_index_that_fails_too_does_not_hide_why(
@@ -87,8 +87,8 @@ def test_nothing_is_left_of_a_run_that_has_not_begun(
         monkeypatch.setattr(run_store.shutil, "copyfileobj", full)
     assert run(tmp_path / "runs") == 2
     assert [one.name for one in (tmp_path / "runs").iterdir()] == ["index.sqlite"]
-    said = capsys.readouterr().err
-    assert "it is locked" in said if fails == "add" else str(tmp_path / "runs") in said
+    errors = capsys.readouterr().err
+    assert "it is locked" in errors if fails == "add" else str(tmp_path / "runs") in errors
 
 
 def test_a_url_of_the_index_that_cannot_be_read_is_no_store_of_its_own(tmp_path: Path) -> None:

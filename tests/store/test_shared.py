@@ -122,7 +122,7 @@ def test_a_locked_index_is_one_line_before_anything_moves(
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("words", "message"),
     [
         (["report", "last", "--store", "STORE"], "there is no run 'last' in"),
         (["report", "last", "--store", "FILE"], "is no folder of runs"),
@@ -130,14 +130,14 @@ def test_a_locked_index_is_one_line_before_anything_moves(
     ],
 )
 def test_listing_runs_creates_no_store(
-    words: list[str], said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    words: list[str], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     file, folder = tmp_path / "file", tmp_path / "nowhere"
     file.write_text("not a store")
     with pytest.raises(SystemExit) as ended:
         main([{"STORE": str(folder), "FILE": str(file)}.get(word, word) for word in words])
     out, err = capsys.readouterr()
-    assert ended.value.code == 2 and out == "" and said in err
+    assert ended.value.code == 2 and out == "" and message in err
     assert not folder.exists() and file.read_text() == "not a store"
 
 

@@ -24,7 +24,7 @@ from threadline.machine import load_machine
 MACHINE = load_machine("lathe-winder")
 
 
-def said(operation: Operation) -> tuple[object, ...]:
+def words_of(operation: Operation) -> tuple[object, ...]:
     """Return the content of an operation without its place."""
     if isinstance(operation, Move):
         return ("move", operation.target, operation.feed, dict(operation.tags))
@@ -90,7 +90,7 @@ def test_read_write_read_is_the_identity(
     write_part_program(first, MACHINE, folder / "b.nc", subroutines=subroutines)
     second = read_job(folder / "b.nc", MACHINE)
 
-    assert [said(op) for op in second] == [said(op) for op in first]
+    assert [words_of(op) for op in second] == [words_of(op) for op in first]
 
 
 def test_subroutines_come_back_as_calls(tmp_path: Path, examples: Path) -> None:
@@ -114,7 +114,7 @@ def test_other_meanings_of_f_come_back_too(tmp_path: Path, examples: Path, mode:
     write_part_program(job, MACHINE, tmp_path / "b.prg")
     again = read_job(tmp_path / "b.prg", MACHINE, **options)
 
-    assert [said(op) for op in again] == [said(op) for op in job]
+    assert [words_of(op) for op in again] == [words_of(op) for op in job]
     assert next(iter(again)).feed == Feed(mode, 0.2, options["base_axes"])  # type: ignore[union-attr]
 
 
@@ -200,7 +200,7 @@ def passes(count: int, *words: str, feed: int | None = None) -> list[OutBlock]:
 
 def test_bodies_that_are_held_together_are_not_too_long(monkeypatch: pytest.MonkeyPatch) -> None:
     """A body that does not fit beside those kept is written out; a body that still fits is kept."""
-    monkeypatch.setattr(nc, "_MAX_KEPT", 5)
+    monkeypatch.setattr(nc, "_MOST_BODY_BLOCKS", 5)
     first, second = passes(2, "X1", "X2", "X3"), passes(2, "X4", "X5", "X6")
     assert written([*first, *second, *passes(2, "X7", "X8")]) == [2, *[0] * 6, 2]
 

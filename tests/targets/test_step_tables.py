@@ -96,7 +96,7 @@ def test_any_monotone_law_and_no_other() -> None:
 
 
 @pytest.mark.parametrize(
-    ("changed", "said"),
+    ("changed", "message"),
     [
         ({"timer_s": Fraction(1, 100_000)}, "fall into one period of the timer of 10 us"),
         ({"window_s": Fraction(0)}, "the window must be positive"),
@@ -104,6 +104,8 @@ def test_any_monotone_law_and_no_other() -> None:
         ({"longest_units": 10_000_000}, "limit 50000000"),
     ],
 )
-def test_step_table_beyond_the_controller_is_refused(changed: dict[str, object], said: str) -> None:
-    with pytest.raises(PlanError, match=said):
+def test_step_table_beyond_the_controller_is_refused(
+    changed: dict[str, object], message: str
+) -> None:
+    with pytest.raises(PlanError, match=message):
         step_tables(law("modified-sine"), **({"timer_s": TIMER} | FRAME | changed))

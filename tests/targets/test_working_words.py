@@ -274,9 +274,9 @@ def test_the_command_ends_with_2_and_writes_nothing(
     machine = str(machines["klipper"].reference)
     with pytest.raises(SystemExit) as stopped:
         main(["compile", str(job), "-m", machine, "--target", "grbl", "-o", str(out)])
-    said = capsys.readouterr().err
+    errors = capsys.readouterr().err
     assert stopped.value.code == 2 and not out.exists()
-    assert "pen.gcode:3: " in said.replace("\n", "") and "M300 S30 (line 3)" in said
+    assert "pen.gcode:3: " in errors.replace("\n", "") and "M300 S30 (line 3)" in errors
 
 
 def acting(job: Job) -> list[str]:
@@ -367,9 +367,9 @@ def test_linuxcnc_switches_where_the_program_did(
     (tmp_path / "out.nc").write_text(compiled(tmp_path, machines["linuxcnc"], text, "linuxcnc"))
 
     def calls(name: str) -> list[tuple[str, float]]:
-        said = interpreted(rs274, tmp_path / name, 300.0)
+        output = interpreted(rs274, tmp_path / name, 300.0)
         found, x = [], 0.0
-        for call, message in re.findall(r"([A-Z_]+)\(([^)]*)\)", said):
+        for call, message in re.findall(r"([A-Z_]+)\(([^)]*)\)", output):
             if call in {"STRAIGHT_TRAVERSE", "STRAIGHT_FEED"}:
                 x = float(message.split(",")[0])
             elif re.search("SPINDLE|FLOOD|OUTPUT", call):
@@ -386,9 +386,9 @@ def times_of(command: list[str], capsys: pytest.CaptureFixture[str]) -> tuple[fl
     """Return both times that a command reports for a written program."""
     with pytest.raises(SystemExit) as stopped:
         main([*command, "--json"])
-    said = capsys.readouterr()
-    assert not stopped.value.code, said.err
-    (file,) = json.loads(said.out)["files"]
+    captured = capsys.readouterr()
+    assert not stopped.value.code, captured.err
+    (file,) = json.loads(captured.out)["files"]
     return file["stands_s"], file["as_run_s"]
 
 
@@ -403,10 +403,10 @@ def test_a_program_is_not_slower_than_its_source_unless_told_to(
     wanted = ["compile", str(job), "-m", machine, "--target", "klipper", "-o", str(out)]
     with pytest.raises(SystemExit) as stopped:
         main([*wanted, "--limits", "10 %"])
-    said = " ".join(capsys.readouterr().err.split())
-    match = re.search(r"takes ([\d.]+) s over it, and ([\d.]+) s over zigzag.gcode", said)
+    errors = " ".join(capsys.readouterr().err.split())
+    match = re.search(r"takes ([\d.]+) s over it, and ([\d.]+) s over zigzag.gcode", errors)
     assert stopped.value.code == 2 and not out.exists() and match is not None
-    assert float(match[1]) > 1.2 * float(match[2]) and "--slower" in said
+    assert float(match[1]) > 1.2 * float(match[2]) and "--slower" in errors
     slow = times_of([*wanted, "--limits", "10 %", "--slower"], capsys)
     assert out.exists()
     assert slow == pytest.approx((float(match[2]), float(match[1])), rel=1e-4)

@@ -150,7 +150,7 @@ def test_prove_compile_and_judge_take_a_law(
 
 
 @pytest.mark.parametrize(
-    ("arguments", "said"),
+    ("arguments", "message"),
     [
         (("--law", "nope"), "unknown motion law 'nope'"),
         (("--law", "cubic", "--interpolation", "linear"), "both choose the interpolation"),
@@ -159,8 +159,8 @@ def test_prove_compile_and_judge_take_a_law(
     ],
 )
 def test_a_wrong_law_is_one_line(
-    arguments: tuple[str, ...], said: str, capsys: pytest.CaptureFixture[str]
+    arguments: tuple[str, ...], message: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     code, out, err = ran(capsys, "prove", *X180, *arguments)
     assert (code, out) == (2, "")
-    assert said in err and err.count("\n") == 1
+    assert message in err and err.count("\n") == 1

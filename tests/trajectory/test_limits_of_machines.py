@@ -159,7 +159,7 @@ def test_less_of_the_limits_is_less_of_braking_and_along_the_path_too():
 
 
 @pytest.mark.parametrize(
-    ("name", "under", "text", "said"),
+    ("name", "under", "text", "message"),
     [
         ("lathe-winder", "axes.X", "deceleration = '3 rad/s^2 exact, assumed'", "deceleration"),
         ("lathe-winder", "axes.X", "deceleration = '0 m/s^2 exact, assumed'", "deceleration"),
@@ -176,14 +176,14 @@ def test_less_of_the_limits_is_less_of_braking_and_along_the_path_too():
         ("schiffli-frame", "axes.X", "deceleration = '1 m/s^2 exact, assumed'", "step tables"),
     ],
 )
-def test_limits_that_mean_nothing_are_refused_by_name(tmp_path, name, under, text, said):
+def test_limits_that_mean_nothing_are_refused_by_name(tmp_path, name, under, text, message):
     own = library_file(name).read_text(encoding="utf-8")
     if f"[{under}]\n" in own:
         own = own.replace(f"[{under}]\n", f"[{under}]\n{text}\n")
     else:
         own += f"\n[{under}]\n{text}\n"
     (tmp_path / "mine.toml").write_text(own, encoding="utf-8")
-    with pytest.raises(MachineError, match=said) as caught:
+    with pytest.raises(MachineError, match=message) as caught:
         load_machine(tmp_path / "mine.toml")
     assert "mine.toml:" in str(caught.value)
 

@@ -115,14 +115,14 @@ def test_a_motion_that_strays_a_little_is_slowed_for_it(monkeypatch):
 
     just = next(by for by in np.arange(1.0, 1.3, 1e-3) if share(quicker(by)) > 1.0)
     within = quicker(just - 2e-3)
-    assert polished._kept(within, share(within), follower, past) is within
+    assert polished._within_tolerance(within, share(within), follower, past) is within
     over = quicker(just + 0.01)
     assert 1.005 < share(over) < polished._LITTLE
-    found = polished._kept(over, share(over), follower, past)
+    found = polished._within_tolerance(over, share(over), follower, past)
     assert share(found) <= 1.0
     assert found.end_s - begin == pytest.approx((block.end_s - begin) / just, rel=2e-3)
     far = quicker(1.3 * just)
-    assert polished._kept(far, share(far), follower, past) is None
+    assert polished._within_tolerance(far, share(far), follower, past) is None
 
 
 @pytest.mark.parametrize("many", [0, 7, 40])

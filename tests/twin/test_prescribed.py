@@ -272,9 +272,11 @@ def test_machine_without_loops_passes_the_stability_check(machine: Machine) -> N
     assert unstable_loops(machine) == []
     with pytest.raises(OptionError, match=r"axis X of 'stepper-winder' has no loop: drives\.x"):
         axis_loop(machine, "X")
-    said = analyse_moving(machine, "X")
-    assert said.as_json()["modes_hz"] == [pytest.approx(np.sqrt(K / MASS) / (2 * np.pi), rel=1e-3)]
-    assert "has no loop" in said.verdict()
+    output = analyse_moving(machine, "X")
+    assert output.as_json()["modes_hz"] == [
+        pytest.approx(np.sqrt(K / MASS) / (2 * np.pi), rel=1e-3)
+    ]
+    assert "has no loop" in output.verdict()
 
 
 def test_parts_that_are_not_linear_are_refused_by_name(machine: Machine) -> None:

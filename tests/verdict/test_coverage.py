@@ -75,8 +75,8 @@ def test_blocks_that_are_missing_hide_no_error(cut: slice) -> None:
     verdict = judge([holed], plan(), strict)
     assert {r.status for r in verdict.results} == {Status.NOT_MEASURED}
     begin, end = cut.start * 10 * TICK_S, cut.stop * 10 * TICK_S
-    said = f"no samples from {begin:g} s to {end:g} s"
-    assert all(said in r.note for r in verdict.results)
+    message = f"no samples from {begin:g} s to {end:g} s"
+    assert all(message in r.note for r in verdict.results)
     assert closing(verdict).startswith("NOT PROVEN")
 
 

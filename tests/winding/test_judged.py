@@ -292,10 +292,10 @@ def test_the_distance_of_the_eye_is_that_of_a_cylinder(tmp_path: Path) -> None:
     near = Clearance(product.surface, (), tool, 0.003)
     found = np.concatenate([near.feed(part) for part in np.array_split(eyes, 9)])
     # Every sample is as far as stated, or no nearer than an earlier one.
-    said = found > 0.0
-    np.testing.assert_allclose(found[said], wanted[said], atol=1e-6)
+    is_nearest = found > 0.0
+    np.testing.assert_allclose(found[is_nearest], wanted[is_nearest], atol=1e-6)
     before = np.maximum.accumulate(wanted)
-    assert (wanted[~said] <= before[~said] + 1e-6).all()
+    assert (wanted[~is_nearest] <= before[~is_nearest] + 1e-6).all()
     assert found.max() == pytest.approx(wanted.max(), abs=1e-6)
     assert near.words(0).startswith("the eye and the mandrel: it would fit with a radius")
 
@@ -417,9 +417,11 @@ def test_coverage_says_how_much_of_the_fibre_it_does_not_know(
     )  # fmt: skip
 
 
-@pytest.mark.parametrize(("slip", "said"), [(2e-4, "0.02% too little"), (-2e-4, "0.02% too far")])
+@pytest.mark.parametrize(
+    ("slip", "message"), [(2e-4, "0.02% too little"), (-2e-4, "0.02% too far")]
+)
 def test_a_mandrel_that_slips_leaves_a_pattern_open_on_one_side(
-    vessel: Product, machine: Machine, circuit: FloatArray, slip: float, said: str
+    vessel: Product, machine: Machine, circuit: FloatArray, slip: float, message: str
 ) -> None:
     """44 circuits of 63/44 turns are 63 turns: 0.02 % of them are 4.5 degrees, 3.0 mm across."""
     assert machine.tool is not None
@@ -434,7 +436,7 @@ def test_a_mandrel_that_slips_leaves_a_pattern_open_on_one_side(
     cos = math.sqrt(1.0 - (programs.TURN_M / 0.05) ** 2)
     expected = abs(slip) * programs.TURNS * 2.0 * math.pi * 0.05 * cos
     assert away.value == pytest.approx(expected, abs=3e-4)
-    assert said in away.note and "steps per degree or by slip" in away.note
+    assert message in away.note and "steps per degree or by slip" in away.note
 
 
 def test_a_level_over_tolerances_draws_slip_and_friction(vessel: Product, machine: Machine) -> None:
