@@ -56,13 +56,13 @@ def unshown(items: list[pytest.Item]) -> list[str]:
                 found.add(f"{own} has no case {case!r}")
         shown_by = mark.kwargs.get("shown_by")
         if shown_by is None:
-            wanted = own
+            expected = own
         elif "::" in shown_by:
-            wanted = shown_by
+            expected = shown_by
         else:
-            wanted = f"{own.partition('::')[0]}::{shown_by}"
-        if wanted not in shorter:
-            found.add(f"{own} is long, and no shorter {wanted} stays in make test")
+            expected = f"{own.partition('::')[0]}::{shown_by}"
+        if expected not in shorter:
+            found.add(f"{own} is long, and no shorter {expected} stays in make test")
     return sorted(found)
 
 

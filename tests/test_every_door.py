@@ -205,19 +205,19 @@ def test_every_verb_reads_and_plans_alike_by_both_doors(stopped: Path, work: str
     answered_count = 0
     for one in PLANNING:
         words = given_to(one, work)
-        wanted = by_python("prove", stopped, work, words)
+        expected = by_python("prove", stopped, work, words)
         if kind not in one.kinds:
-            assert isinstance(wanted, str), one.name
+            assert isinstance(expected, str), one.name
         for verb in LINE_VERBS:
             if verb not in one.verbs or one.name in SEARCHED.get(verb, ()):
                 continue
             if any(name not in {o.name for o in options_for(verb)} for name in words):
                 continue
             found = by_line(verb, stopped, work, words)
-            assert found == wanted, (verb, one.name)
+            assert found == expected, (verb, one.name)
             answered_count += not isinstance(found, str)
             if verb in PYTHON_VERBS:
-                assert by_python(verb, stopped, work, words) == wanted, (verb, one.name)
+                assert by_python(verb, stopped, work, words) == expected, (verb, one.name)
     assert answered_count > 5
 
 
@@ -238,8 +238,10 @@ def test_a_redesign_tries_the_same_smoothing_times_by_both_doors(
     class AskedError(Exception):
         pass
 
-    def asked(file: Path, machine: Any, spec: Any, options: Options, wanted: Any, *_: Any) -> None:
-        raise AskedError(options, wanted)
+    def asked(
+        file: Path, machine: Any, spec: Any, options: Options, expected: Any, *_: Any
+    ) -> None:
+        raise AskedError(options, expected)
 
     monkeypatch.setattr(design, "search_design", asked)
     monkeypatch.setattr("threadline.search.design.design", asked)

@@ -132,11 +132,11 @@ def test_a_recording_is_judged_by_machines_that_are_loaded(tmp_path: Path) -> No
     file.write_text('base = "lathe-winder"\nname = "own"\ntitle = "own"\n', encoding="utf-8")
     machine, heavy = tl.load_machine(file), tl.load_machine("lathe-winder+physical")
     recorded = tl.prove(job, machine, level="nominal", actual=heavy).record(tmp_path / "x.npz")
-    wanted = tl.judge(recorded.path).verdict.results
+    expected = tl.judge(recorded.path).verdict.results
     found = tl.judge([recorded.path], machine=machine, actual=heavy)
     assert found.plan.machine is machine
-    assert found.verdict.results == wanted
-    assert tl.judge(recorded.path, machine=file).verdict.results == wanted
+    assert found.verdict.results == expected
+    assert tl.judge(recorded.path, machine=file).verdict.results == expected
     with pytest.raises(OptionError, match="was recorded on another machine"):
         tl.judge(recorded.path, machine=machine, actual=machine)
 

@@ -45,9 +45,9 @@ def test_a_run_does_what_its_proof_says_and_is_kept(job: Path, tmp_path: Path) -
             assert run.result("contour_error").measured == pytest.approx(
                 proved.result("contour_error").measured, rel=1e-9
             )
-    kept = opened(store)
-    assert kept is not None
-    assert [one.ended for one in kept.index.runs()] == ["completed", "completed"]
+    run_store = opened(store)
+    assert run_store is not None
+    assert [one.ended for one in run_store.index.runs()] == ["completed", "completed"]
 
 
 @pytest.mark.waits

@@ -44,8 +44,8 @@ def test_prove_json_has_the_promised_keys(
     # Fourteen moves of 25.714 mm at 36 mm/s take 142.9 ticks of 5 ms each, in whole ticks.
     assert content["ticks"] == 14 * 143
     assert content["duration_s"] == pytest.approx(14 * 143 * 0.005, rel=1e-9)
-    wanted = {"job", "machine", "interpolation", "criteria", "job_sha256", "threadline"}
-    assert wanted <= content.keys()
+    expected = {"job", "machine", "interpolation", "criteria", "job_sha256", "threadline"}
+    assert expected <= content.keys()
     assert content["machine_sha256"] == load_machine("lathe-winder").sha256
     for criterion in content["criteria"]:
         assert {

@@ -264,6 +264,10 @@ def test_x_and_y_of_a_printer_have_a_mode_each(capsys: pytest.CaptureFixture[str
             [line for line in out.splitlines() if re.match(r"(\[|[a-z_]+_[xy]:)", line)]
         )
     of_x, of_y, both = sections
-    wanted = ["[input_shaper]", *(w for w in of_x if "_x:" in w), *(w for w in of_y if "_y:" in w)]
-    assert both == wanted
+    expected = [
+        "[input_shaper]",
+        *(w for w in of_x if "_x:" in w),
+        *(w for w in of_y if "_y:" in w),
+    ]
+    assert both == expected
     assert len(both) == 7

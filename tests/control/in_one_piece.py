@@ -289,12 +289,12 @@ def feed_forward(
     levels = Levels(digital.numerator, skips=controller.dac.zero_on_reversal)
     volts = levels.feed(np.append(driven.volts, np.repeat(driven.volts[-1:], AHEAD)))
     error = lfilter(digital.denominator, digital.numerator, volts)
-    wanted = (sensed.measured_counts + error) / loop.counts_per_unit
+    expected = (sensed.measured_counts + error) / loop.counts_per_unit
     rows = int(np.floor((ticks[-1] - held - begin) / step)) + 1
     due = begin + step * np.arange(rows)
     limit = machine.drive_of(axis).amplifier.current_limit
     return FeedForward(
-        reference_si=np.interp(due + held, ticks, wanted),
+        reference_si=np.interp(due + held, ticks, expected),
         start_s=begin,
         period_s=step,
         followed=driven,

@@ -66,7 +66,7 @@ show pin pid.0
 
 
 @pytest.fixture(autouse=True)
-def alone(monkeypatch):
+def hal_lock(monkeypatch):
     with hal_alone(monkeypatch):
         yield
 

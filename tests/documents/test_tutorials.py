@@ -45,15 +45,17 @@ def answer(words: list[str], status: int, capsys: pytest.CaptureFixture[str]) ->
 
 def shows(page: str, message: str) -> bool:
     """Return whether a line of a page is the beginning of a printed line."""
-    wanted, found = page.split(), message.split()
-    return len(wanted) <= len(found) and all(map(same, wanted, found))
+    expected, found = page.split(), message.split()
+    return len(expected) <= len(found) and all(map(same, expected, found))
 
 
-def same(wanted: str, found: str) -> bool:
+def same(expected: str, found: str) -> bool:
     """Return whether words agree: numbers to one in the last digit, others except for a comma."""
-    if NUMBER.fullmatch(wanted) and NUMBER.fullmatch(found):
-        return abs(float(wanted) - float(found)) <= 1.01 * 10.0 ** -len(wanted.partition(".")[2])
-    return wanted.rstrip(",;") == found.rstrip(",;")
+    if NUMBER.fullmatch(expected) and NUMBER.fullmatch(found):
+        return abs(float(expected) - float(found)) <= 1.01 * 10.0 ** -len(
+            expected.partition(".")[2]
+        )
+    return expected.rstrip(",;") == found.rstrip(",;")
 
 
 @pytest.mark.long(but="winder")

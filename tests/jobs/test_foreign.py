@@ -259,8 +259,8 @@ def test_a_table_with_feeds_is_the_program_of_its_rows(tmp_path: Path, axy: Mach
     text = "G1 A10 X5 F600 ; tension_n=25\nA40 X-3 F900 ; tension_n=20\nM2\n"
     program = made(tmp_path, text, axy, feed_mode="fastest-axis")
     assert [tags for *_, tags in moves(job)] == [{"tension_N": 25.0}, {"tension_N": 20.0}]
-    for (target, feed, _), (wanted, like, _) in zip(moves(job), moves(program), strict=True):
-        assert target == pytest.approx(wanted, rel=1e-12) and feed.mode == like.mode  # type: ignore[attr-defined]
+    for (target, feed, _), (expected, like, _) in zip(moves(job), moves(program), strict=True):
+        assert target == pytest.approx(expected, rel=1e-12) and feed.mode == like.mode  # type: ignore[attr-defined]
         assert feed.value == pytest.approx(like.value)  # type: ignore[attr-defined]
     assert [one.source.line for one in job if isinstance(one, Move)] == [4, 5]
 

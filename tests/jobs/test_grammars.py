@@ -436,12 +436,12 @@ def test_a_long_program_of_reprapfirmware_has_every_command(tmp_path: Path, xyza
     lines = [f"G1 X{k}" + (f" G1 Y{k}" if k % 7 == 0 else "") for k in range(600)]
     job = read(tmp_path, xyza, "\n".join(["G1 F600", *lines]), "reprapfirmware")
     ends = [(round(x), round(y)) for x, y, *_ in millimetres(job)]
-    wanted = []
+    expected = []
     for k in range(600):
-        wanted.append((k, wanted[-1][1] if wanted else 0))
+        expected.append((k, expected[-1][1] if expected else 0))
         if k % 7 == 0:
-            wanted.append((k, k))
-    assert ends == wanted
+            expected.append((k, k))
+    assert ends == expected
 
 
 # --- FluidNC --------------------------------------------------------------------------------------

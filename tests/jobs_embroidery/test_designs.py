@@ -61,8 +61,8 @@ def test_every_format_gives_the_same_places(suffix: str, tmp_path: Path) -> None
     file = tmp_path / f"a.{suffix}"
     pystitch.write(pattern, str(file))
     places = [(x, y) for x, y, number, _ in moves(read_job(file, MACHINE)) if number]
-    ways = [way for way in np.diff(places, axis=0).tolist() if way != [0.0, 0.0]]
-    assert ways == np.diff(STITCHES, axis=0).tolist()
+    displacements = [way for way in np.diff(places, axis=0).tolist() if way != [0.0, 0.0]]
+    assert displacements == np.diff(STITCHES, axis=0).tolist()
 
 
 def test_jumps_before_a_stitch_are_one_move(tmp_path: Path) -> None:
@@ -179,8 +179,8 @@ def test_the_parts_of_a_long_stitch_are_short_enough_and_on_the_grid(tmp_path: P
         assert 0 in [number for *_, number, _ in moves(job)][1:]
         split = read_job(tmp_path / "a.exp", MACHINE, long_stitches="split")
         places = np.array([(0, 0), *((x, y) for x, y, *_ in moves(split))])
-        ways = np.abs(np.diff(places, axis=0)).max(axis=1)
-        assert ways.max() <= 165
+        displacements = np.abs(np.diff(places, axis=0)).max(axis=1)
+        assert displacements.max() <= 165
         assert np.array_equal(places, np.rint(places))
         assert tuple(places[-1]) == (2 + x, y)
         assert len(places) == 1 + 3 + -(-max(abs(x), abs(y)) // 165)
@@ -221,9 +221,9 @@ def test_real_designs_have_as_many_moves_as_were_counted(
 ) -> None:
     """Counted by hand from the records, for another study: moves after the first stitch."""
     sewn = [(x, y) for x, y, number, _ in moves(read_job(SAMPLES / name, MACHINE)) if number]
-    ways = np.abs(np.diff(sewn, axis=0)).max(axis=1)
-    assert len(ways) == count
-    assert ways.max() == longest
+    displacements = np.abs(np.diff(sewn, axis=0)).max(axis=1)
+    assert len(displacements) == count
+    assert displacements.max() == longest
 
 
 def test_the_order_of_the_axes_in_a_machine_file_changes_no_design(tmp_path: Path) -> None:

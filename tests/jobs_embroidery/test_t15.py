@@ -69,8 +69,8 @@ def test_written_t15_reads_back_equal(tmp_path: Path) -> None:
     longest = replace(big.tables.longest, si=0.0171)
     big = replace(big, tables=replace(big.tables, longest=longest))
     stitches = [p for p in places(read_job(file, big)) if p[2]]
-    wanted = np.cumsum(units, axis=0)
-    expected = [tuple(wanted[k]) for k in range(500) if sewn[k]]
+    expected_values = np.cumsum(units, axis=0)
+    expected = [tuple(expected_values[k]) for k in range(500) if sewn[k]]
     assert [p[:2] for p in stitches] == expected
 
 

@@ -271,8 +271,8 @@ def test_too_little_friction_says_how_much_would_do(tmp_path: Path) -> None:
     text = f'{TUBE}[coverage]\nbegin = "40 mm"\nend = "160 mm"\n[[layer]]\nangle = "55 deg"\n'
     with pytest.raises(JobError) as caught:
         read_job(_written(tmp_path, text), WINDER)
-    wanted = 0.05 / 0.04 * (1.0 / math.sin(math.radians(55.0)) - 1.0)
-    assert f"A ratio of {wanted:.3g} would turn it" in caught.value.remedy
+    expected = 0.05 / 0.04 * (1.0 / math.sin(math.radians(55.0)) - 1.0)
+    assert f"A ratio of {expected:.3g} would turn it" in caught.value.remedy
 
 
 def test_a_machine_without_an_eye_is_refused() -> None:
@@ -490,8 +490,8 @@ def test_the_mandrel_comes_to_rest_evenly() -> None:
     nominal_s = np.interp(turns, [0.0, *usual[::-1]], [0.0, *usual_s[::-1]])
     slow = left_s < 0.5
     assert slow.sum() >= 20
-    wanted = 0.5 * left_s - 0.25 / math.pi * np.sin(2.0 * math.pi * left_s)
-    assert nominal_s[slow] == pytest.approx(wanted[slow], abs=2e-4)
+    expected = 0.5 * left_s - 0.25 / math.pi * np.sin(2.0 * math.pi * left_s)
+    assert nominal_s[slow] == pytest.approx(expected[slow], abs=2e-4)
     assert left_s[~slow] - nominal_s[~slow] == pytest.approx(0.25, abs=2e-3)
     assert np.diff(left_s[::-1])[: slow.sum() - 1].max() < 0.045
 

@@ -65,10 +65,10 @@ def test_one_circuit_and_its_passes_are_the_whole_motion(tmp_path: Path, dialect
     machine = load_machine("lathe-winder")
     job = read_job(product, machine)
     again = read_part_program(program, machine=machine, dialect=dialect)
-    wanted, found = _said(job), _said(again)
-    assert found[1] == wanted[1]
+    expected, found = _said(job), _said(again)
+    assert found[1] == expected[1]
     radius = np.array([0.1, 1.0, 1.0])  # m, at the mandrel and the eye beside it
-    off = (np.array(found[0]) - np.array(wanted[0])) * radius
+    off = (np.array(found[0]) - np.array(expected[0])) * radius
     assert np.abs(off).max() < 1e-5
     # Whole turns by G91 add up: the passes of a layer turn as far as the design.
     text = program.read_text().replace(" ", "").splitlines()

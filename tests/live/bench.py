@@ -110,14 +110,14 @@ class Bench:
         fault: SimFault | None = None,
         same: bool = False,
     ) -> None:
-        self.desk, self.kept = Desk(), MemorySink()
+        self.desk, self.sink = Desk(), MemorySink()
         self.is_machine = other if same and other is not None else winder()
         self.wire = Wire(other or winder(), start, fault)
         self.executor = Executor(
             self.wire,
             self.is_machine,
             self.desk,
-            self.kept,
+            self.sink,
             speed=0.0,  # type: ignore[arg-type]
         )
         self.executor.connect()
@@ -138,7 +138,7 @@ class Bench:
             executor.step()
 
     def channel(self, name: str) -> np.ndarray:
-        return np.concatenate([block.samples[name] for block in self.kept.blocks])
+        return np.concatenate([block.samples[name] for block in self.sink.blocks])
 
     def commanded(self) -> np.ndarray:
         """Return (n, axes) commanded counts at the ticks of the run."""

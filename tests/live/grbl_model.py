@@ -235,8 +235,8 @@ class GrblModel(threading.Thread):
             self.blocks.append((target, float(found[3]) / 60.0))
             self.target, self.state = target, "Jog"
             ends = [self.at, *(end for end, _ in self.blocks)]
-            ways = np.linalg.norm(np.diff(ends, axis=0), axis=1)
-            left = sum(way / speed for way, (_, speed) in zip(ways, self.blocks, strict=True))
+            moves = np.linalg.norm(np.diff(ends, axis=0), axis=1)
+            left = sum(way / speed for way, (_, speed) in zip(moves, self.blocks, strict=True))
             self.ahead_s = max(self.ahead_s, float(left))
         return ""
 

@@ -194,8 +194,8 @@ def execute(
     may_stand_still: bool = False,
 ) -> tuple[Executor, MemorySink]:
     """Run a table to its end; a sleep of the computer is an error unless a test causes it."""
-    kept, desk = MemorySink(), Desk()
-    executor = Executor(Connection(end), machine, desk, kept, speed=1.0)
+    sink, desk = MemorySink(), Desk()
+    executor = Executor(Connection(end), machine, desk, sink, speed=1.0)
     executor.connect()
     executor.enable()
     executor.home()
@@ -207,4 +207,4 @@ def execute(
     desk.close()
     if not may_stand_still:
         refuse_slept(executor.ended)
-    return executor, kept
+    return executor, sink

@@ -136,8 +136,8 @@ def execute(
     end: socket.socket, which: Case, at_tick: Callable[[int], object]
 ) -> tuple[Executor, MemorySink]:
     """Run a case to its end, or to the end of the link."""
-    kept, desk = MemorySink(), Desk()
-    executor = Executor(Connection(end), which.machine, desk, kept, speed=0.0)
+    sink, desk = MemorySink(), Desk()
+    executor = Executor(Connection(end), which.machine, desk, sink, speed=0.0)
     executor.connect()
     executor.enable()
     executor.home()
@@ -146,7 +146,7 @@ def execute(
         executor.step()
         at_tick(executor.tick)
     desk.close()
-    return executor, kept
+    return executor, sink
 
 
 def kill_executor(which: Case, tick: int, box: Path) -> dict[str, np.ndarray]:
@@ -171,8 +171,8 @@ def kill_executor(which: Case, tick: int, box: Path) -> dict[str, np.ndarray]:
     os.waitpid(executor, 0)
     os.close(there)
     assert os.waitpid(machine, 0)[1] == 0  # it has come to rest, and ended by itself
-    with np.load(box) as kept:
-        return {name.removeprefix("c_"): np.array(kept[name]) for name in kept.files}
+    with np.load(box) as counts:
+        return {name.removeprefix("c_"): np.array(counts[name]) for name in counts.files}
 
 
 def kill_machine(which: Case, tick: int) -> tuple[Executor, MemorySink]:

@@ -61,9 +61,9 @@ def patient(monkeypatch: pytest.MonkeyPatch) -> None:
 @contextmanager
 def meeting(model: GrblModel) -> Iterator[tuple[GrblRun, Desk, MemorySink]]:
     model.start()
-    desk, kept, port = Desk(), MemorySink(), Port(model.address)
+    desk, sink, port = Desk(), MemorySink(), Port(model.address)
     try:
-        yield GrblRun(Controller(port, MACHINE), desk, kept), desk, kept
+        yield GrblRun(Controller(port, MACHINE), desk, sink), desk, sink
     finally:
         port.close()
         desk.close()
@@ -86,7 +86,7 @@ def go_on(one: GrblRun, until: Callable[[], bool] = lambda: False) -> None:
 
 def test_a_program_is_run_whole_and_its_reports_are_a_recording() -> None:
     model = GrblModel(settings(), faster=4.0)
-    with meeting(model) as (one, _, kept):
+    with meeting(model) as (one, _, sink):
         ready(one, program())
         ahead = []
 
@@ -108,18 +108,18 @@ def test_a_program_is_run_whole_and_its_reports_are_a_recording() -> None:
         assert executed[-1] == 60
         # The recording lies on the program: A turns twice as far as X goes, in its units.
         a, x = (
-            np.concatenate([block.samples[f"{name}.commanded"] for block in kept.blocks])
+            np.concatenate([block.samples[f"{name}.commanded"] for block in sink.blocks])
             for name in "AX"
         )
         np.testing.assert_allclose(a / UNITS[0], 2.0 * x / UNITS[1], atol=0.01)
         assert (x[-1], len(x) > 20) == (pytest.approx(0.3), True)
-        events = [event.kind for block in kept.blocks for event in block.events]
+        events = [event.kind for block in sink.blocks for event in block.events]
         assert events == ["completed"]
 
 
 def test_a_hold_stands_on_the_path_and_goes_on_from_there() -> None:
     model = GrblModel(settings(), faster=2.0)
-    with meeting(model) as (one, desk, kept):
+    with meeting(model) as (one, desk, sink):
         ready(one, program())
         go_on(one, lambda: one.executed >= 5)
         desk.ask(Cause.HOLD)
@@ -133,7 +133,7 @@ def test_a_hold_stands_on_the_path_and_goes_on_from_there() -> None:
         go_on(one)
         assert one.ended == (RunEnd.COMPLETED, "")
         assert model.heard.count(b"G1 ") == 60
-        assert [cause for *_, cause, _ in kept.log][-3:] == [
+        assert [cause for *_, cause, _ in sink.log][-3:] == [
             Cause.HOLD, Cause.RESUME, Cause.COMPLETED,
         ]  # fmt: skip
 
@@ -155,25 +155,25 @@ def test_the_time_of_a_run_goes_on_within_a_line() -> None:
 def test_a_hold_after_the_last_line_is_refused_and_the_run_ends() -> None:
     """A feed hold then would leave the controller in Hold with nothing to resume."""
     model = GrblModel(settings(), faster=4.0)
-    with meeting(model) as (one, desk, kept):
+    with meeting(model) as (one, desk, sink):
         ready(one, program())
         go_on(one, lambda: one.ended is not None)
         before = model.heard.count(b"!")
         desk.ask(Cause.HOLD)
         go_on(one)
         assert (one.state, model.heard.count(b"!")) == (State.IDLE, before)
-        assert any("the run has come to its end" in text for *_, text in kept.log)
+        assert any("the run has come to its end" in text for *_, text in sink.log)
 
 
 def test_a_hold_of_the_controller_itself_is_one_of_the_run() -> None:
     """After M0 or its own button, nothing goes on before the operator says so."""
     model = GrblModel(settings(), faster=4.0)
-    with meeting(model) as (one, desk, kept):
+    with meeting(model) as (one, desk, sink):
         ready(one, program())
         go_on(one, lambda: one.executed >= 5)
         model.state = "Hold"
         go_on(one, lambda: one.state is State.HOLDING)
-        assert kept.log[-1][-1].startswith("the controller tells Hold: by its own hold button")
+        assert sink.log[-1][-1].startswith("the controller tells Hold: by its own hold button")
         assert b"~" not in model.heard
         desk.ask(Cause.RESUME)
         go_on(one)

@@ -48,17 +48,17 @@ def test_a_fault_brakes_on_the_path(kind: str, where: str, message: str, within_
     ended, text = bench.executor.ended or (None, "")
     assert ended is RunEnd.FAULT
     assert message in text
-    tripped = next(tick for tick, state, _, _ in bench.kept.log if state is State.FAULT)
+    tripped = next(tick for tick, state, _, _ in bench.sink.log if state is State.FAULT)
     assert AT <= tripped <= AT + within_ticks + 5
     # 10 counts per tick brake within 4 ticks, on the path: A turns a count for each of X.
     counts = bench.commanded()
     assert counts[-1, 0] - counts[tripped, 0] <= 4 * 10
     assert abs(counts[-1, 0] - counts[-1, 1]) <= 1
-    events = [event.kind for block in bench.kept.blocks for event in block.events]
+    events = [event.kind for block in bench.sink.blocks for event in block.events]
     assert events.count("fault") == 1
     # The recording goes on until the machine has settled, as at any other end.
     assert len(counts) - tripped > 100
-    assert [state for _, state, _, _ in bench.kept.log].count(State.FAULT) == 1
+    assert [state for _, state, _, _ in bench.sink.log].count(State.FAULT) == 1
 
 
 def report_of(commanded: np.ndarray, read: np.ndarray) -> dict[str, np.ndarray]:
@@ -111,7 +111,7 @@ def test_a_new_connection_moves_nothing() -> None:
     stands = bench.wire.machine.position.copy()
     bench.wire._answers.clear()
     bench.wire.machine.greet()
-    again = Executor(bench.wire, winder(), bench.desk, bench.kept, speed=0.0)  # type: ignore[arg-type]
+    again = Executor(bench.wire, winder(), bench.desk, bench.sink, speed=0.0)  # type: ignore[arg-type]
     again.connect()
     assert again.state is State.DISABLED
     for ask in (lambda: again.start(TABLE), lambda: again.jog("X", 0.02)):
@@ -130,7 +130,7 @@ def test_a_pressed_emergency_stop_is_told_and_nothing_starts_while_it_is() -> No
         State.FAULT, (RunEnd.FAULT, "the emergency stop is pressed"),
     )  # fmt: skip
     assert AT <= executor.tick <= AT + 5
-    events = [event for block in bench.kept.blocks for event in block.events]
+    events = [event for block in bench.sink.blocks for event in block.events]
     assert [event.name for event in events if event.kind == "fault"] == [
         "the emergency stop is pressed"
     ]
@@ -148,7 +148,7 @@ def test_a_link_that_is_gone_is_a_fault_at_once(kind: str) -> None:
     bench.go_on()
     assert bench.executor.ended == (RunEnd.FAULT, "the link is gone")
     assert AT <= bench.executor.tick <= AT + 5
-    events = [event for block in bench.kept.blocks for event in block.events]
+    events = [event for block in bench.sink.blocks for event in block.events]
     assert (events[-1].kind, events[-1].name) == ("fault", "the link is gone")
 
 

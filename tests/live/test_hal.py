@@ -50,7 +50,7 @@ LIBRARY = Path(machine_package.__file__).parent / "library" / "lathe-winder.toml
 
 
 @pytest.fixture(autouse=True)
-def alone(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+def hal_lock(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """Run one of these tests at a time."""
     with hal_alone(monkeypatch), unhurried(monkeypatch):
         yield
@@ -142,20 +142,20 @@ def test_hold_resume_and_stop(tmp_path: Path) -> None:
             desk.ask(Cause.RESUME)
 
     with bridge(winder(), ZERO, tmp_path / "box", plant=True) as far:
-        executor, kept = execute(far.end, winder(), table_of_counts(ROWS), at_tick)
+        executor, sink = execute(far.end, winder(), table_of_counts(ROWS), at_tick)
     assert executor.ended == (RunEnd.COMPLETED, "")
-    assert [state for _, state, _, _ in kept.log].count(State.HOLDING) == 1
+    assert [state for _, state, _, _ in sink.log].count(State.HOLDING) == 1
     x, a = on_path(tmp_path / "box")
     assert x[-1] == 0.0
     assert a[-1] == np.abs(ROWS[:, 1]).sum()
-    measured = np.concatenate([block.samples["X.measured"] for block in kept.blocks])
-    commanded = np.concatenate([block.samples["X.commanded"] for block in kept.blocks])
+    measured = np.concatenate([block.samples["X.measured"] for block in sink.blocks])
+    commanded = np.concatenate([block.samples["X.commanded"] for block in sink.blocks])
     lag_s = 0.0294  # of X, as in docs/safety.md
     assert np.abs(measured - commanded).max() == pytest.approx(
         0.036 * lag_s, abs=2.0 / X_M
     )  # a count of rounding each way
     # The trace has the plan time of each tick, at which the table is where HAL commanded X.
-    ticks = plan_ticks(kept.blocks, len(commanded))
+    ticks = plan_ticks(sink.blocks, len(commanded))
     places = np.append(0, np.cumsum(ROWS[:, 1]))
     meant = np.interp(np.minimum(ticks, len(ROWS)), np.arange(len(places)), places)
     assert np.abs(commanded * X_M - meant).max() <= 0.5 + 1e-6
@@ -189,15 +189,15 @@ def test_a_stop_brakes_along_the_path_and_the_rest_is_done(tmp_path: Path) -> No
             desk.ask(Cause.STOP)
 
     with bridge(winder(), ZERO, tmp_path / "box", plant=False) as far:
-        executor, kept = execute(far.end, winder(), table_of_counts(ROWS), at_tick)
+        executor, sink = execute(far.end, winder(), table_of_counts(ROWS), at_tick)
     assert executor.ended == (RunEnd.STOPPED, "stopped by the operator")
     on_path(tmp_path / "box")
     # Its first tick was past when it arrived, so it was sent again for a later tick.
     assert executor._lead == LEAD_TICKS, "this computer slept"
-    commanded = np.concatenate([block.samples["X.commanded"] for block in kept.blocks])
+    commanded = np.concatenate([block.samples["X.commanded"] for block in sink.blocks])
     assert np.abs(np.diff(commanded[at[0] :])).sum() <= 2e-3
 
-    executed = max(int(block.samples["operation"].max(initial=0.0)) for block in kept.blocks)
+    executed = max(int(block.samples["operation"].max(initial=0.0)) for block in sink.blocks)
     rest = rest_of_rows(table_of_counts(ROWS), winder(), executed, at_rest=False)
     assert rest.left_out >= 50
     begins = [int(count) for count in rest.begins]
@@ -329,7 +329,7 @@ def test_kill_hal(tick: int, tmp_path: Path) -> None:
             os.kill(killed_it[0], signal.SIGKILL)
 
     with bridge(winder(), ZERO, tmp_path / "box", plant=False) as far:
-        executor, kept = execute(
+        executor, sink = execute(
             far.end, winder(), table_of_counts(ROWS), at_tick, may_stand_still=True
         )
     assert killed_it, executor.ended  # or HAL got no processor before
@@ -337,7 +337,7 @@ def test_kill_hal(tick: int, tmp_path: Path) -> None:
     assert executor.ended is not None
     assert executor.ended[0] is RunEnd.FAULT
     assert "has stood still" in executor.ended[1]
-    assert sum(len(block.samples["X.commanded"]) for block in kept.blocks) >= tick
+    assert sum(len(block.samples["X.commanded"]) for block in sink.blocks) >= tick
 
 
 @awake

@@ -46,9 +46,9 @@ def test_a_stop_ends_homing_at_once_and_it_is_not_homed(monkeypatch: pytest.Monk
     """The stop comes after the begin of homing, which lasts three times as long here."""
     homing_s = 3.0 * sim_process.HOMING_S
     monkeypatch.setattr(sim_process, "HOMING_S", homing_s)
-    desk, kept = Desk(), MemorySink()
+    desk, sink = Desk(), MemorySink()
     with in_real_time() as link:
-        executor = Executor(link, winder(), desk, kept, speed=1.0)
+        executor = Executor(link, winder(), desk, sink, speed=1.0)
         executor.connect()
         executor.enable()
         send = link.send
@@ -61,7 +61,7 @@ def test_a_stop_ends_homing_at_once_and_it_is_not_homed(monkeypatch: pytest.Monk
         with monkeypatch.context() as asked:
             asked.setattr(link, "send", send_and_stop)
             executor.home()
-        assert [cause for _, _, cause, _ in kept.log] == [
+        assert [cause for _, _, cause, _ in sink.log] == [
             Cause.ENABLE, Cause.HOME, Cause.STOP, Cause.AT_REST_UNHOMED,
         ]  # fmt: skip
         assert executor.state is State.ENABLED
@@ -74,7 +74,7 @@ def test_a_stop_ends_homing_at_once_and_it_is_not_homed(monkeypatch: pytest.Monk
 
 
 def test_a_run_that_is_stopped_while_it_homes_never_begins() -> None:
-    desk, kept, sent = Desk(), MemorySink(), list[str]()
+    desk, sink, sent = Desk(), MemorySink(), list[str]()
 
     class Slow(Wire):
         """A link that answers only after somebody stops it."""
@@ -93,7 +93,7 @@ def test_a_run_that_is_stopped_while_it_homes_never_begins() -> None:
         yield Slow(winder())
 
     ended, text, _ = run_commands(
-        table_of_counts(ROWS), winder(), link(), desk, kept, speed=0.0  # type: ignore[arg-type]
+        table_of_counts(ROWS), winder(), link(), desk, sink, speed=0.0  # type: ignore[arg-type]
     )  # fmt: skip
     assert (ended, text) == (RunEnd.STOPPED, "stopped by the operator while it homed")
     assert sent == ["enable", "home", "stop-home", "leave"]

@@ -131,12 +131,12 @@ def rests_of_whole() -> set[tuple[float, ...]]:
 def test_kill_the_machines_process(name: str, k: int) -> None:
     """The executor reports it at once, in the state of a fault, with all reports until then."""
     tick = some_ticks(name)[k]
-    executor, kept = kill_machine(case(name), tick)
+    executor, sink = kill_machine(case(name), tick)
     assert executor.ended == (RunEnd.FAULT, "the link is gone")
     assert executor.state is State.FAULT
     assert executor.tick >= tick
-    assert sum(len(next(iter(block.samples.values()))) for block in kept.blocks) >= tick
-    assert kept.blocks[-1].events[-1].kind == "fault"
+    assert sum(len(next(iter(block.samples.values()))) for block in sink.blocks) >= tick
+    assert sink.blocks[-1].events[-1].kind == "fault"
 
 
 @pytest.mark.parametrize("k", range(10))

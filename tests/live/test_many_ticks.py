@@ -96,7 +96,7 @@ class Asked(Bench):
         super().__init__()
         self.asked: list[tuple[State, int]] = []
         wire, send = self.wire, self.wire.send
-        self.executor = Executor(wire, winder(), self.desk, self.kept, speed=speed)  # type: ignore[arg-type]
+        self.executor = Executor(wire, winder(), self.desk, self.sink, speed=speed)  # type: ignore[arg-type]
         wire.machine.greet()
         self.executor.connect()
 

@@ -71,7 +71,7 @@ def test_undisturbed_run_equals_the_simulation_to_the_bit() -> None:
     assert made.executor.ended == (RunEnd.COMPLETED, "")
     for channel in simulated().channels:
         assert np.array_equal(made.channel(channel.name), simulated().samples(channel.name)[1])
-    events = [event for block in made.kept.blocks for event in block.events]
+    events = [event for block in made.sink.blocks for event in block.events]
     assert events == [event for block in simulated() for event in block.events]
 
 
@@ -117,7 +117,7 @@ def test_a_hold_stands_at_the_next_rest_with_the_letter_held(scan: int) -> None:
     changes = [rows[1:][np.diff(rows, axis=0).any(axis=1)].tolist() for rows in (switched, whole)]
     assert changes[0] == changes[1]
     # The operator asked for the hold: the cycle time is the time without it.
-    took = [cycle(one) for one in (made.kept.recording(planned()), simulated())]
+    took = [cycle(one) for one in (made.sink.recording(planned()), simulated())]
     assert took[0].measured == pytest.approx(took[1].measured, abs=1e-9)
     later_s = (len(switched) - len(whole)) * 1e-3
     assert took[0].note == f"without {later_s:.6g} s in which it was held"
@@ -156,7 +156,7 @@ def test_outputs_switch_off_when_refills_stop(scan: int) -> None:
         machine.play(3)
         message = made.wire.receive()
         assert message is not None
-        made.kept.block(made.executor.far_end.reported(message, None))
+        made.sink.block(made.executor.far_end.reported(message, None))
     assert machine.standing
     on = outputs(made).any(axis=1)
     assert not on[10 * (scan + LEFT_ALONE_SCANS) :].any()
@@ -204,7 +204,7 @@ def test_a_fault_switches_everything_off(message: str, expected_text: str) -> No
     ended, text = made.executor.ended or (None, "")
     assert (made.executor.state, ended) == (State.FAULT, RunEnd.FAULT)
     assert expected_text in text
-    tripped = next(tick for tick, state, _, _ in made.kept.log if state is State.FAULT)
+    tripped = next(tick for tick, state, _, _ in made.sink.log if state is State.FAULT)
     assert not outputs(made)[10 * tripped :].any()
     if not message.startswith("stuck"):
         assert tripped <= fault.tick + 15  # three reports of five scans

@@ -138,16 +138,16 @@ def test_a_firmware_becomes_a_machine(
     made = machine(tmp_path, text, *more)
     assert made.axis_names == tuple(counts)
     assert made.programs.dialect == dialect
-    for found, wanted in (
+    for found, expected in (
         (made.counts_per_unit, counts),
         (made.velocity_limit, velocity),
         (made.acceleration_limit, acceleration),
     ):
-        for axis, value in wanted.items():
+        for axis, value in expected.items():
             turns = axis in made.rotary
             # A count per degree is 180/pi of one per rad; a rate in degrees pi/180 of one in rad.
             factor = 180.0 / math.pi if turns else 1.0
-            factor = factor if wanted is counts else 1.0 / factor
+            factor = factor if expected is counts else 1.0 / factor
             at = made.axis_names.index(axis)
             assert found[at] == pytest.approx(value * factor, rel=1e-9), axis
     for axis, value in travel_m.items():
@@ -155,7 +155,7 @@ def test_a_firmware_becomes_a_machine(
 
 
 @pytest.mark.parametrize(
-    ("text", "more", "wanted"),
+    ("text", "more", "expected"),
     [
         (GRBL + "$11=0.025\n", ["rotary=A"], {"junction_deviation": 0.025e-3}),
         (GRBL, ["rotary=A"], {"junction_deviation": 0.01e-3}),  # its default
@@ -169,11 +169,11 @@ def test_a_firmware_becomes_a_machine(
     ],
 )  # fmt: skip
 def test_a_firmware_tells_its_planner(
-    tmp_path: Path, text: str, more: list[str], wanted: dict[str, float]
+    tmp_path: Path, text: str, more: list[str], expected: dict[str, float]
 ) -> None:
     """$11, M205 J and M204 T, junction_deviation_mm, [printer]: in the machine file, in SI."""
     made = machine(tmp_path, text, *more)
-    for key, value in wanted.items():
+    for key, value in expected.items():
         assert getattr(made.planner, key).si == pytest.approx(value), key
 
 

@@ -107,8 +107,8 @@ def test_the_hole_of_a_letter_is_not_filled() -> None:
     assert (len(hatch.paths), hatch.dxf.hatch_style) == (2, 0)
     again = opened("a.dxf", made)
     assert [one["fill"] for one in again["shapes"]] == ["solid", "solid"]
-    alone = dxf([Shape(**{**ring, "group": 0}, fill="solid") for ring in rings])
-    assert len(ezdxf.read(io.StringIO(alone.decode())).modelspace().query("HATCH")) == 2
+    one_by_one = dxf([Shape(**{**ring, "group": 0}, fill="solid") for ring in rings])
+    assert len(ezdxf.read(io.StringIO(one_by_one.decode())).modelspace().query("HATCH")) == 2
 
 
 STYLES = ["solid", "dashed", "dotted", "dashdot"]

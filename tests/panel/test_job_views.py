@@ -47,8 +47,8 @@ def test_the_programmed_path_and_its_lines_are_those_of_the_job(folder: Path) ->
     assert before.moves == len(moves)
     assert before.line == [0, *(one.source.line for one in moves)]
     for k, name in enumerate(job.axes):
-        wanted = [job.start[k], *(one.target[k] for one in moves)]
-        assert before.planned[name] == pytest.approx(wanted, abs=1e-6)
+        expected = [job.start[k], *(one.target[k] for one in moves)]
+        assert before.planned[name] == pytest.approx(expected, abs=1e-6)
     assert before.text == (folder / "there.prg").read_text("utf-8").splitlines()
     # There and back at one speed: the second line begins at half of the time.
     assert figures.lines.line == [5, 6]

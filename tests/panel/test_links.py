@@ -117,9 +117,9 @@ def test_a_program_is_run_on_grbl_twice_with_a_hold(project: Path) -> None:
             moved_by(
                 anna, lambda: model.at == pytest.approx([0.0] * 4, abs=2e-3), "zero-axis", axis="A"
             )
-    kept = opened(project / "runs")
-    assert kept is not None
-    assert {record.link for record in kept.index.runs()} == {welcome["link"]}
+    store = opened(project / "runs")
+    assert store is not None
+    assert {record.link for record in store.index.runs()} == {welcome["link"]}
     assert list((project / "runs").glob("*/sent/program.nc"))
 
 
@@ -334,9 +334,9 @@ def test_hal_is_homed_jogged_run_held_and_stopped(
             anna.see("idle")
             wait(anna, lambda: bool(anna.state["progress"]["verdict"]))
             assert anna.state["progress"]["verdict"].startswith("NOT PROVEN")
-    kept = opened(tmp_path / "runs")
-    assert kept is not None
-    (record,) = kept.index.runs()
+    store = opened(tmp_path / "runs")
+    assert store is not None
+    (record,) = store.index.runs()
     assert record.link == link
 
 

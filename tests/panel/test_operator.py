@@ -79,9 +79,9 @@ def test_a_run_from_home_to_verdict(project: Path) -> None:
         assert (progress["ended"], progress["why"]) == ("completed", "")
         assert progress["verdict"].startswith("IN SPEC")
         assert progress["time_s"] >= progress["duration_s"] > 3.0
-    kept = opened(project / "runs")
-    assert kept is not None
-    (record,) = [r for r in kept.index.runs() if r.run == progress["run"]]
+    store = opened(project / "runs")
+    assert store is not None
+    (record,) = [r for r in store.index.runs() if r.run == progress["run"]]
     assert (record.ended, record.passed, record.link) == ("completed", True, "sim")
 
 

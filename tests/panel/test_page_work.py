@@ -148,8 +148,8 @@ def test_a_profile_and_a_stitch_path_are_drawn(
     typed(page, (0, 20), (50, 50), (150, 50), (200, 20))
     page.locator("#typed-point").press("Enter")
     press(page, "Use as mandrel")
-    wanted = "A=20 mm at X 0 mm; 50 mm at X 50 mm; 50 mm at X 150 mm; 20 mm at X 200 mm"
-    expect(page.locator("#radius")).to_have_value(wanted)
+    expected = "A=20 mm at X 0 mm; 50 mm at X 50 mm; 50 mm at X 150 mm; 20 mm at X 200 mm"
+    expect(page.locator("#radius")).to_have_value(expected)
 
     press(page, "Circle")
     typed(page, (100, 80), (110, 80))

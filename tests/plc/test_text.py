@@ -106,19 +106,19 @@ def test_assignments_agree_with_their_types(shaper: str) -> None:
             target, source = line[0].lower(), line[1].strip()
             if target not in unit.declared or "." in source:
                 continue
-            wanted = unit.declared[target].type
+            expected = unit.declared[target].type
             if source in {"TRUE", "FALSE"}:
-                assert wanted == "BOOL", line
+                assert expected == "BOOL", line
             elif source.startswith("T#"):
-                assert wanted == "TIME", line
+                assert expected == "TIME", line
             elif source.isdigit():
-                assert wanted in {"INT", "DINT"}, line
+                assert expected in {"INT", "DINT"}, line
             elif source.startswith("'"):
-                assert wanted == "STRING", line
+                assert expected == "STRING", line
             elif source.lower() in unit.declared:
-                assert unit.declared[source.lower()].type == wanted, line
+                assert unit.declared[source.lower()].type == expected, line
             else:
-                assert wanted in values
+                assert expected in values
 
 
 @EVERY_SHAPER
@@ -171,8 +171,8 @@ def test_plcopen_project_holds_the_same_units(shaper: str) -> None:
     assert set(pous) == set(units)
     for name, unit in units.items():
         pou = pous[name]
-        wanted = {"FUNCTION_BLOCK": "functionBlock", "PROGRAM": "program"}[unit.kind]
-        assert pou.attrib["pouType"] == wanted
+        expected = {"FUNCTION_BLOCK": "functionBlock", "PROGRAM": "program"}[unit.kind]
+        assert pou.attrib["pouType"] == expected
         found = {}
         for variable in pou.iter(f"{PPX}variable"):
             (kind,) = variable.find(f"{PPX}type")  # type: ignore[misc]

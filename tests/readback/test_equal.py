@@ -57,8 +57,8 @@ def test_every_target_of_the_winder_is_the_plan(job: Path) -> None:
     lacking = {"nc", "linuxcnc"} if shutil.which("rs274") is None else set()
     assert {name for name, verdict in verdicts.items() if verdict == "skipped"} == lacking
     # No machine file of this winder has a planner, so no firmware code has run.
-    alone = {name for name, verdict in verdicts.items() if verdict == "read back"}
-    assert alone == set(BOARDS) - {"linuxcnc"}
+    single = {name for name, verdict in verdicts.items() if verdict == "read back"}
+    assert single == set(BOARDS) - {"linuxcnc"}
     assert found.passed and set(verdicts) >= {"csv", "npz", "ticks", "nc", "grbl", "klipper"}
     for one in found.targets:
         if one.verdict != "skipped" and one.unit == "m":

@@ -182,10 +182,10 @@ def test_contents_of_a_figure_are_copied_without_parsing(tmp_path: Path) -> None
     assert sum(len(contents_of(page)) for page in pages) < 20_000
     drawn = [form.get_data() for page in pages
              for form in page["/Resources"].get("/XObject", {}).values()]  # fmt: skip
-    (alone,) = drawn
+    (single,) = drawn
     contents = PdfReader(io.BytesIO(figure_page(figure))).pages[0].get_contents()
     assert contents is not None
-    assert len(alone) > 200_000 and alone == contents.get_data()
+    assert len(single) > 200_000 and single == contents.get_data()
     # The page's own words end with their last colour and place, not with the figure's.
     (page,) = [page for page in pages if b"/Figure0 Do" in contents_of(page)]
     assert re.search(rb"^q\s.*\sQ q [\d. ]+ cm /Figure0 Do Q\s*$", contents_of(page), re.DOTALL)

@@ -98,13 +98,13 @@ def test_python_has_the_cluster_too(
         return real(self, work, items, done)  # type: ignore[arg-type]
 
     monkeypatch.setattr(Cluster, "answers", counted)
-    alone = tl.fastest(job, "lathe-winder", **words)
+    single = tl.fastest(job, "lathe-winder", **words)
     assert not sent
     shared = tl.fastest(job, "lathe-winder", cluster=fleet.address, **words)
-    assert alone.best is not None and sent
-    assert (shared.best, shared.limited_by) == (alone.best, alone.limited_by)
+    assert single.best is not None and sent
+    assert (shared.best, shared.limited_by) == (single.best, single.limited_by)
     assert [r.measured for r in shared.of.best.found.verdict.results] == [
-        r.measured for r in alone.of.best.found.verdict.results
+        r.measured for r in single.of.best.found.verdict.results
     ]
 
 

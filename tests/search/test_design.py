@@ -130,14 +130,14 @@ def test_filters_of_many_candidates_are_those_of_each(stitcher: Machine) -> None
             zero = numbers[f"controllers.{axis.lower()}.zero"][index]
             loop = axis_loop(stitcher, axis, Values.of(stitcher, own))
             try:
-                alone = design_lead(loop, crossover, margin)
+                single = design_lead(loop, crossover, margin)
             except OptionError:
                 # The phase is ample without any lead: the zero is as far out as it can be.
                 assert zero == pytest.approx(1 / 256)
                 continue
             # For a stiff machine the stacked exponential is accurate to about 1e-8.
-            assert gain == pytest.approx(alone.gain, rel=1e-6)
-            assert 1 - zero == pytest.approx(1 - alone.zero, rel=1e-5)
+            assert gain == pytest.approx(single.gain, rel=1e-6)
+            assert 1 - zero == pytest.approx(1 - single.zero, rel=1e-5)
             filters = {k: v[index : index + 1] for k, v in numbers.items()}
             margins = loop_margins(axis_loop(stitcher, axis, Values.of(stitcher, own | filters)))
             first = margins.gain_crossovers[0]

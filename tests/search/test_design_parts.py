@@ -78,10 +78,10 @@ def test_merged_parts_are_one_run_to_the_bit(
     assert [one.number for some in searches for one in some] == [*numbers]
     tried = {one.tried.points.tobytes() for some in searches for one in some}
     assert len(tried) == number  # each with its own random numbers
-    alone = json.loads(run_command(*WORDS, "--json")[1])
+    one_by_one = json.loads(run_command(*WORDS, "--json")[1])
     content = json.loads(one[1])
-    assert content["found"]["cost"] <= alone["found"]["cost"]
-    assert content["simulated"] > (number - 1) * alone["simulated"]
+    assert content["found"]["cost"] <= one_by_one["found"]["cost"]
+    assert content["simulated"] > (number - 1) * one_by_one["simulated"]
 
 
 def test_parts_that_do_not_fit_are_named(

@@ -61,15 +61,15 @@ def test_two_feeds_stand_for_all_between_them_where_the_planner_keeps_the_limits
 
 def test_narrow_intervals_beyond_an_edge_are_found() -> None:
     """Because times are rounded to whole ticks, feeds with thin margins pass and fail in turn."""
-    wanted = [(0.1, 0.93), (0.94, 1.0), (1.02, 1.03), (1.06, 1.07), (3.0, 3.4)]
+    expected = [(0.1, 0.93), (0.94, 1.0), (1.02, 1.03), (1.06, 1.07), (3.0, 3.4)]
 
     def judged(feed: float) -> Verdict:
-        return verdict(0.99 if any(low <= feed <= high for low, high in wanted) else 1.01)
+        return verdict(0.99 if any(low <= feed <= high for low, high in expected) else 1.01)
 
     found = find_fastest(judged, 0.1, 10.0, Grid(near=16))
 
     assert [(i.low, i.high) for i in reversed(found.intervals)] == [
-        (pytest.approx(low, rel=2.1e-3), pytest.approx(high, rel=2.1e-3)) for low, high in wanted
+        (pytest.approx(low, rel=2.1e-3), pytest.approx(high, rel=2.1e-3)) for low, high in expected
     ]
     # 47 steps from 0.1 to 10, and 17 in place of one step of the scan.
     assert found.step == pytest.approx(100 ** (1 / 47) - 1)

@@ -121,10 +121,10 @@ def test_the_normal_feed_of_an_operator_is_multiplied_as_well(tmp_path: Path) ->
     """The normal feed of the printed winder is F 12000: 100 % keeps it, 200 % doubles it."""
     winder = load_machine("lathe-winder")
     job = job_of(tmp_path, winder, "G1 X90 F12000\nX80 F60\nM30\n")
-    alone, same, twice = (nominal_s(job, winder, feed) for feed in (None, "100 %", "200 %"))
+    single, same, twice = (nominal_s(job, winder, feed) for feed in (None, "100 %", "200 %"))
     uncapped = nominal_s(job, replace(winder, operator=None), None)
-    assert same == pytest.approx(alone, rel=1e-12) and twice == pytest.approx(alone / 2.0)
-    assert alone[1] > 2.0 * uncapped[1] and alone[2] == uncapped[2]
+    assert same == pytest.approx(single, rel=1e-12) and twice == pytest.approx(single / 2.0)
+    assert single[1] > 2.0 * uncapped[1] and single[2] == uncapped[2]
 
 
 def test_percent_is_read_and_written_to_the_last_bit() -> None:

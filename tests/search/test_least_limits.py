@@ -115,9 +115,9 @@ def test_historical_interpolations_are_searched_by_feed_alone(examples: Path) ->
     assert len(result.best.found.intervals) == 3
 
 
-@pytest.mark.parametrize(("wanted", "tried_share"), [(-0.25, 1.0), (-0.75, 0.5)])
+@pytest.mark.parametrize(("expected", "tried_share"), [(-0.25, 1.0), (-0.75, 0.5)])
 def test_the_ladder_is_left_to_either_side(
-    monkeypatch: pytest.MonkeyPatch, wanted: float, tried_share: float
+    monkeypatch: pytest.MonkeyPatch, expected: float, tried_share: float
 ) -> None:
     """The best share is a quarter of a step below or above the ladder's best, but at most 1."""
     tried: list[float] = []
@@ -132,7 +132,7 @@ def test_the_ladder_is_left_to_either_side(
         )
 
     def planned(_asked: Question, share: float, _feed: float) -> SimpleNamespace:
-        return SimpleNamespace(duration_s=1.0 + abs(log2(share) - wanted))
+        return SimpleNamespace(duration_s=1.0 + abs(log2(share) - expected))
 
     monkeypatch.setattr(least_limits, "fastest_feed", found)
     monkeypatch.setattr(least_limits, "planned_at", planned)
@@ -144,7 +144,7 @@ def test_the_ladder_is_left_to_either_side(
     )
     assert max(tried) == 1.0
     assert tried_share in tried
-    assert result.best.share == round(2.0**wanted, 6)
+    assert result.best.share == round(2.0**expected, 6)
     # After the best share the search ends: two shares between, or one if the way up finds it.
     between = sorted({share for share in tried if 0.5 < share < 1.0})
-    assert between[0] == pytest.approx(2.0 ** (-0.5 if wanted > -0.5 else -0.75), abs=1e-5)
+    assert between[0] == pytest.approx(2.0 ** (-0.5 if expected > -0.5 else -0.75), abs=1e-5)

@@ -84,10 +84,12 @@ def test_joined_stretches_go_on_as_the_job_does(tmp_path: Path, machine: Machine
     assert 38 + 4 <= moves_in(part) < 160
     left_out = len(whole) - len(kept)
     assert left_out % 38 == 0
-    ways, found = np.diff(whole, axis=0), np.diff(kept, axis=0)
-    first = int(np.argmax(np.abs(ways[: len(found)] - found).max(axis=1) > 2e-5)) or len(found) // 2
-    np.testing.assert_allclose(found[:first], ways[:first], atol=1e-12)
-    np.testing.assert_allclose(found[first:], ways[first + left_out :], atol=2e-5)
+    moves, found = np.diff(whole, axis=0), np.diff(kept, axis=0)
+    first = (
+        int(np.argmax(np.abs(moves[: len(found)] - found).max(axis=1) > 2e-5)) or len(found) // 2
+    )
+    np.testing.assert_allclose(found[:first], moves[:first], atol=1e-12)
+    np.testing.assert_allclose(found[first:], moves[first + left_out :], atol=2e-5)
     linear = [machine.axes[axis].kind == "linear" for axis in job.axes]
     np.testing.assert_allclose(kept[-1, linear], whole[-1, linear], atol=1e-9)
 

@@ -137,9 +137,9 @@ def test_a_finer_search_that_is_ended_keeps_what_was_known() -> None:
     assert len(asked) == before and not ended.complete and ended.best == coarse.best
     fine = find_fastest(judged, 0.1, 10.0, Grid(points=9, near=4), seen=seen)
     assert len(set(asked)) == len(asked) == fine.tried
-    alone = find_fastest(judged, 0.1, 10.0, Grid(points=9, near=4))
-    assert fine.best is not None and alone.best is not None
-    assert fine.best == pytest.approx(alone.best, rel=4e-3)
+    single = find_fastest(judged, 0.1, 10.0, Grid(points=9, near=4))
+    assert fine.best is not None and single.best is not None
+    assert fine.best == pytest.approx(single.best, rel=4e-3)
 
 
 @pytest.fixture(scope="module")
@@ -203,10 +203,10 @@ def test_a_long_job_is_not_searched_with_limits_that_cannot_be_the_answer(
 
 def test_long_job_examines_only_its_fastest_interval() -> None:
     """A gap in it and a narrow interval above it are found; gaps among slower feeds are not."""
-    wanted = [(0.1, 0.2), (0.205, 0.3), (1.0, 1.8), (1.82, 2.0), (2.03, 2.06)]
+    expected = [(0.1, 0.2), (0.205, 0.3), (1.0, 1.8), (1.82, 2.0), (2.03, 2.06)]
 
     def judged(feed: float) -> Verdict:
-        return verdict(0.99 if any(low <= feed <= high for low, high in wanted) else 1.01)
+        return verdict(0.99 if any(low <= feed <= high for low, high in expected) else 1.01)
 
     few = find_fastest(judged, 0.1, 10.0, Grid(points=20, near=16, every=False))
     all_of_them = find_fastest(judged, 0.1, 10.0, Grid(points=20, near=16))
@@ -276,21 +276,21 @@ def test_below_feeds_that_pass_alone_the_next_interval_is_looked_into() -> None:
     """One feed of the scan passes alone at 10^0.5; below 1 there is a gap that the scan misses."""
 
     def judged(feed: float) -> Verdict:
-        passes = feed <= 0.45 or 0.55 <= feed <= 1.0 or abs(feed - alone) < 1e-4
+        passes = feed <= 0.45 or 0.55 <= feed <= 1.0 or abs(feed - single) < 1e-4
         return verdict(0.99 if passes else 1.01)
 
-    alone = float(f"{10.0**0.5:.4g}")
+    single = float(f"{10.0**0.5:.4g}")
     found = find_fastest(judged, 0.1, 10.0, Grid(points=9, near=16, every=False))
-    assert found.isolated == (alone,) and found.best == pytest.approx(1.0, rel=2.1e-3)
+    assert found.isolated == (single,) and found.best == pytest.approx(1.0, rel=2.1e-3)
     # Four feeds in a row pass down to 10^-0.75.
     lows = [i.low for i in found.intervals if not i.isolated]
     assert lows == pytest.approx([0.55, 10.0**-0.75], rel=2.1e-3) and found.low == lows[-1]
 
     def nothing_holds(feed: float) -> Verdict:
-        return verdict(0.99 if abs(feed - alone) < 1e-4 else 1.01)
+        return verdict(0.99 if abs(feed - single) < 1e-4 else 1.01)
 
     found = find_fastest(nothing_holds, 0.1, 10.0, Grid(points=9, near=16, every=False))
-    assert found.isolated == (alone,) and found.best == alone
+    assert found.isolated == (single,) and found.best == single
 
 
 def test_limiting_criterion_ignores_a_feed_that_passes_by_chance() -> None:

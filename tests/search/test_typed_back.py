@@ -181,9 +181,9 @@ def test_speeds_of_a_shaft_pass_as_they_are_printed(tmp_path: Path, trials: Tria
     """For a frame with step tables; one run far from the limits proves no other machine."""
     machine = load_machine("schiffli-frame")
     spec = load_spec(None, machine)
-    ways = np.random.default_rng(4).integers(5, 81, (8, 2)) * np.array([1, -1])
+    moves = np.random.default_rng(4).integers(5, 81, (8, 2)) * np.array([1, -1])
     design = tmp_path / "eight.exp"
-    design.write_bytes(ways.astype(np.int8).tobytes())
+    design.write_bytes(moves.astype(np.int8).tobytes())
     job = read_job(design, machine)
     found = shaft.constant_speeds(
         Question(

@@ -56,8 +56,8 @@ def test_rejects_are_the_machines_that_fail_alone(asked: tuple[Plan, Spec]) -> N
         drawn(plan.machine, pipeline.VARIANT_SEED, np.arange(12)), phases, strict=True
     ):
         made = variant(plan.machine, parts)
-        alone = simulate(tick_table(plan.commands), made, encoder_phase=phase)
-        failed += not judge([alone], plan, spec).passed
+        single = simulate(tick_table(plan.commands), made, encoder_phase=phase)
+        failed += not judge([single], plan, spec).passed
     rejects = proof.verdict.result("rejects")
     assert rejects.note == f"{failed} of 12 machines within the tolerances are out of specification"
     assert rejects.measured == pytest.approx(1.0 - clopper_pearson(12 - failed, 12)[0], rel=1e-12)
@@ -190,8 +190,10 @@ def test_a_design_is_refused_whose_machines_are_out(tmp_path: Path) -> None:
     file.write_text(CORNER)
     spec = load_spec(PLACE, stitcher)
     # Each dead time needs its own kernel: for a thousand machines these take minutes.
-    kept = replace(stitcher.tolerances, exclude=(*stitcher.tolerances.exclude, "drives.*.delay"))
-    machine = replace(two_parameters(stitcher, (1.0, 30.0)), tolerances=kept)
+    tolerances = replace(
+        stitcher.tolerances, exclude=(*stitcher.tolerances.exclude, "drives.*.delay")
+    )
+    machine = replace(two_parameters(stitcher, (1.0, 30.0)), tolerances=tolerances)
     plain = design(file, machine, spec, Options(), Requirements(effort=NO_REGION)).found
     assert plain is not None and plain.verdict.passed
     plan = plan_job(read_job(file, plain.machine), plain.machine, Options())
@@ -222,8 +224,8 @@ def test_a_design_is_found_whose_machines_are_in(tmp_path: Path) -> None:
                             ("links.x_belt", "stiffness"), ("links.y_belt", "stiffness"))
     }  # fmt: skip
     held = [path for one in uncertain(stitcher) for path in one.numbers if path not in varies]
-    kept = replace(stitcher.tolerances, exclude=(*stitcher.tolerances.exclude, *held))
-    machine = replace(two_parameters(stitcher, (1.0, 8.0)), tolerances=kept)
+    tolerances = replace(stitcher.tolerances, exclude=(*stitcher.tolerances.exclude, *held))
+    machine = replace(two_parameters(stitcher, (1.0, 8.0)), tolerances=tolerances)
 
     def drawn_by_hand(found: ProvedDesign) -> tuple[float, float]:
         plan = plan_job(read_job(file, found.machine), found.machine, Options())

@@ -52,8 +52,8 @@ def test_modes_far_apart_cost_little_more_than_the_slower_alone(ratio: float) ->
     """
     slow, fast = FlexibleMode(0.4, 0.01), FlexibleMode(0.4 * ratio, 0.02)
     found = direct_shaper([Requirement(fast, 0.05, 0.2), Requirement(slow, 0.05, 0.2)])
-    alone = [specified_insensitivity(mode, 0.2).duration_s for mode in (slow, fast)]
-    assert alone[0] <= found.duration_s <= sum(alone) * (1.0 + 1e-12)
+    one_by_one = [specified_insensitivity(mode, 0.2).duration_s for mode in (slow, fast)]
+    assert one_by_one[0] <= found.duration_s <= sum(one_by_one) * (1.0 + 1e-12)
     for mode in (slow, fast):
         for f in mode.frequency_hz * np.linspace(0.8, 1.2, 9):
             assert simulated_vibration(found, float(f), mode.damping_ratio) < 0.05 + 1e-9
@@ -154,8 +154,8 @@ def klipper_mzv(n: int, t: float, zeta: float) -> tuple[FloatArray, FloatArray]:
     at = np.linspace(0.0, t, n)
     phase = 2 * np.pi * (1 + np.arange(n - 1) / tau)[:, None] * at
     rows = np.vstack((np.ones(n), np.cos(phase), np.sin(phase)))
-    wanted = np.append(1.0, np.zeros(2 * n - 2))
-    weights = np.linalg.lstsq(rows, wanted, rcond=None)[0]
+    expected = np.append(1.0, np.zeros(2 * n - 2))
+    weights = np.linalg.lstsq(rows, expected, rcond=None)[0]
     weights *= np.exp(-2 * np.pi * zeta / np.sqrt(1 - zeta**2) * at)
     return weights / weights.sum(), at
 

@@ -265,10 +265,10 @@ def test_the_command_ranks_and_makes(
     """The best comes first; modified sine needs 6.33 m/s^2 and 6.3 kN a tonne."""
     asked = []
 
-    def made(wanted: Demand, progress: Callable[[str, float], None]) -> MadeLaw:
+    def made(expected: Demand, progress: Callable[[str, float], None]) -> MadeLaw:
         progress("law for the mode", 0.5)
-        asked.append(wanted)
-        return made_once(wanted)
+        asked.append(expected)
+        return made_once(expected)
 
     monkeypatch.setattr(law_mode, "made_law", made)
     file, folder = tmp_path / "made.csv", tmp_path / "report"

@@ -64,9 +64,9 @@ def test_windows_of_all_lengths_are_those_of_each_alone() -> None:
     found = lasting_windows_s(SINE, mode, lengths, 5e-5)
     assert found[:2].tolist() == [0.0, 0.0]
     for length, window in zip(lengths[2:], found[2:], strict=True):
-        alone = ringing(SINE, mode, length, 0.05, residual=5e-5).window_s
-        assert alone is not None
-        assert window == pytest.approx(alone, rel=2e-3)
+        single = ringing(SINE, mode, length, 0.05, residual=5e-5).window_s
+        assert single is not None
+        assert window == pytest.approx(single, rel=2e-3)
         longer = np.linspace(window, 1.0, 4001)
         assert residual_m(SINE, mode, length, longer).max() <= 5e-5 * 1.001
 
@@ -122,8 +122,8 @@ def test_the_swing_of_many_moves_is_their_sum() -> None:
                 left = begin[k] + turns[k] / 3 - end + (1.0 - u) * turns[j] / 3
                 total += np.trapezoid(rise * np.exp(-pole * left), u) / pole.imag
             worst = max(worst, abs(total))
-        wanted = worst if moves.needle[k] else 0.0
-        assert found[k] == pytest.approx(wanted, rel=2e-3, abs=1e-8)
+        expected = worst if moves.needle[k] else 0.0
+        assert found[k] == pytest.approx(expected, rel=2e-3, abs=1e-8)
 
 
 @pytest.mark.long(shown_by="test_long_stitches_are_slowed_and_never_refused")
@@ -180,8 +180,8 @@ def test_a_design_that_is_planned_again_is_not_searched_again(
         return fastest_turns(*asked)
 
     monkeypatch.setattr(stitch_pace, "fastest_turns", counted)
-    ways = np.random.default_rng(6).integers(-80, 81, (2, 12, 2)).astype(np.int8)
-    for name, way in zip("ab", ways, strict=True):
+    moves = np.random.default_rng(6).integers(-80, 81, (2, 12, 2)).astype(np.int8)
+    for name, way in zip("ab", moves, strict=True):
         (tmp_path / f"{name}.exp").write_bytes(way.tobytes())
 
     def turns(name: str, tolerance_m: float) -> FloatArray:
@@ -338,9 +338,9 @@ def robust_schedule(design: Path) -> Stitched:
 
 
 def test_a_robust_schedule_of_six_stitches_holds_all_over_the_tolerances(tmp_path: Path) -> None:
-    ways = np.random.default_rng(4).integers(5, 81, (6, 2)) * np.array([1, -1])
+    moves = np.random.default_rng(4).integers(5, 81, (6, 2)) * np.array([1, -1])
     design = tmp_path / "six.exp"
-    design.write_bytes(ways.astype(np.int8).tobytes())
+    design.write_bytes(moves.astype(np.int8).tobytes())
     stitched = robust_schedule(design)
     job = read_job(design, MACHINE)
     exact = stitch(job, MACHINE, SINE, 1e-4, None)

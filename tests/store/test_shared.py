@@ -99,9 +99,9 @@ def at_once(url: Any, **options: Any) -> Any:
 @pytest.mark.skipif(not Path("/proc/self/fd").is_dir(), reason="nothing says what is open")
 def test_the_index_is_open_while_it_is_used_alone(tmp_path: Path) -> None:
     """Python 3.13 warns if a database is dropped while it is open."""
-    kept = RunIndex(tmp_path / INDEX)
-    kept.add(record("first"))
-    assert [row.run for row in kept.runs()] == ["first"]
+    index = RunIndex(tmp_path / INDEX)
+    index.add(record("first"))
+    assert [row.run for row in index.runs()] == ["first"]
     still = [os.path.realpath(one) for one in Path("/proc/self/fd").iterdir()]
     assert str((tmp_path / INDEX).resolve()) not in still
 

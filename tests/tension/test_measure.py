@@ -96,9 +96,9 @@ def test_a_rest_between_counts(plan: Plan, whole: Recording, spec: Spec) -> None
 
 
 def test_without_the_channel_it_is_not_measured(plan: Plan, whole: Recording, spec: Spec) -> None:
-    kept = tuple(c for c in whole.channels if c.kind is not ChannelKind.TENSION)
+    channels = tuple(c for c in whole.channels if c.kind is not ChannelKind.TENSION)
     for simulated in (True, False):
-        found = measured(replace(whole, channels=kept, simulated=simulated), plan, spec)
+        found = measured(replace(whole, channels=channels, simulated=simulated), plan, spec)
         assert found.status is Status.NOT_MEASURED
         assert 'a column "tension" gives it' in found.note
 

@@ -107,8 +107,8 @@ def test_four_derivatives_are_continuous_and_true():
     t = np.linspace(0.35, 0.45, 97)
     for order in range(4):
         slope = (smooth(t + h, order) - smooth(t - h, order)) / (2 * h)
-        wanted = smooth(t, order + 1)
-        np.testing.assert_allclose(slope, wanted, atol=2e-3 * np.abs(wanted).max())
+        expected = smooth(t, order + 1)
+        np.testing.assert_allclose(slope, expected, atol=2e-3 * np.abs(expected).max())
 
 
 def test_operations_change_where_they_did():

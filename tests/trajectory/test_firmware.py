@@ -200,9 +200,9 @@ def test_moves_in_parts_are_those_of_the_whole(
 @pytest.mark.parametrize("planner", [GRBL, MARLIN], ids=["grbl", "marlin"])
 def test_one_move_is_a_trapezoid(planner: FirmwarePlanner) -> None:
     """v / a + L / v if it reaches its speed, otherwise 2 sqrt(L / a)."""
-    for length, wanted in ((100.0, 50.0 / 800.0 + 100.0 / 50.0), (2.0, 2 * np.sqrt(2.0 / 800.0))):
+    for length, expected in ((100.0, 50.0 / 800.0 + 100.0 / 50.0), (2.0, 2 * np.sqrt(2.0 / 800.0))):
         blocks = planned(planner, [[length, 0.0, 0.0]], 50.0, **ON_GRBL)
-        assert times(blocks, 1).sum() == pytest.approx(wanted, rel=1e-12)
+        assert times(blocks, 1).sum() == pytest.approx(expected, rel=1e-12)
 
 
 def corner_speed(planner: FirmwarePlanner, degrees: float, **limits) -> float:
@@ -240,8 +240,8 @@ def test_a_corner_is_taken_on_its_circle(planner: FirmwarePlanner) -> None:
             # The limit of the second move itself, whatever the axes allow across it.
             along = np.array([np.cos(np.radians(turn)), np.sin(np.radians(turn))])
             allowed = 500.0 / np.abs(along).max()
-        wanted = np.sqrt(allowed * radius)
-        assert corner_speed(planner, turn, **limits) == pytest.approx(wanted, rel=1e-9)
+        expected = np.sqrt(allowed * radius)
+        assert corner_speed(planner, turn, **limits) == pytest.approx(expected, rel=1e-9)
 
 
 @pytest.mark.parametrize(

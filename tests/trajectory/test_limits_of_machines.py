@@ -140,7 +140,7 @@ def test_braking_beyond_its_limit_is_refused_by_name():
 
 def test_a_path_rests_where_it_turns_back_wherever_its_blocks_end():
     places = [[0, 0], [1, 0], [1, 0], [0.5, 0], [0.5, 1], [0.5, 1], [0.5, 0], [2, 0]]
-    wanted = [0, 0, 1, 0, 0, 1, 0, 1]
+    expected = [0, 0, 1, 0, 0, 1, 0, 1]
     for cuts in ([], [1], [2], [3], [5], [6], [2, 3], [5, 6], [1, 2, 3, 4, 5, 6, 7]):
         blocks = [vertices(part) for part in np.split(np.array(places, dtype=float), cuts)]
         blocks = [replace(b, rest=np.zeros(len(b), dtype=np.int64)) for b in blocks[:-1]] + [
@@ -148,7 +148,7 @@ def test_a_path_rests_where_it_turns_back_wherever_its_blocks_end():
         ]
         path = ProgrammedPath(axes=("X", "Y"), radius_m=np.ones(2), blocks=Stream.of(blocks))
         rests = np.concatenate([block.rest for block in resting_at_reversals(path)])
-        assert rests.tolist() == wanted, cuts
+        assert rests.tolist() == expected, cuts
 
 
 def test_less_of_the_limits_is_less_of_braking_and_along_the_path_too():

@@ -89,8 +89,8 @@ def test_the_reason_counts_the_pay_out_point_as_the_replay_does() -> None:
     surface = product_of_text(product_text(VESSEL)).surface
     found = np.column_stack(Witness(surface, offset)._places(eyes))
     payout = np.array([*offset, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0])
-    wanted = [centre(one, np.zeros(6), payout)[:3] for one in eyes]
-    assert found == pytest.approx(np.array(wanted), abs=1e-15)
+    expected = [centre(one, np.zeros(6), payout)[:3] for one in eyes]
+    assert found == pytest.approx(np.array(expected), abs=1e-15)
 
 
 def test_the_radius_that_would_fit_is_found() -> None:

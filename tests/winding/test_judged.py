@@ -287,16 +287,16 @@ def test_the_distance_of_the_eye_is_that_of_a_cylinder(tmp_path: Path) -> None:
     # Below its rim an end is nearer than the side.
     inside = (out < 0.0) & (beyond == 0.0)
     distance = np.where(inside, np.maximum(out, -np.minimum(x, 0.2 - x)), distance)
-    wanted = np.maximum(0.003 - distance, 0.0)
-    assert (wanted > 0.0).mean() > 0.1
+    expected = np.maximum(0.003 - distance, 0.0)
+    assert (expected > 0.0).mean() > 0.1
     near = Clearance(product.surface, (), tool, 0.003)
     found = np.concatenate([near.feed(part) for part in np.array_split(eyes, 9)])
     # Every sample is as far as stated, or no nearer than an earlier one.
     is_nearest = found > 0.0
-    np.testing.assert_allclose(found[is_nearest], wanted[is_nearest], atol=1e-6)
-    before = np.maximum.accumulate(wanted)
-    assert (wanted[~is_nearest] <= before[~is_nearest] + 1e-6).all()
-    assert found.max() == pytest.approx(wanted.max(), abs=1e-6)
+    np.testing.assert_allclose(found[is_nearest], expected[is_nearest], atol=1e-6)
+    before = np.maximum.accumulate(expected)
+    assert (expected[~is_nearest] <= before[~is_nearest] + 1e-6).all()
+    assert found.max() == pytest.approx(expected.max(), abs=1e-6)
     assert near.words(0).startswith("the eye and the mandrel: it would fit with a radius")
 
 

@@ -115,8 +115,8 @@ def test_many_machines_share_the_design_and_the_plan(
     file.write_text("G90\nG1 X10 F100\nG4 P1500\nG1 X0\nM30\n")
     plan = plan_job(open_job(file, machine, options), machine, options)
     assert plan.duration_s > 1500.0
-    kept = cached_in_memory(plan)
-    assert kept is not plan and isinstance(kept.commands.blocks, Stream)
+    cached = cached_in_memory(plan)
+    assert cached is not plan and isinstance(cached.commands.blocks, Stream)
     monkeypatch.setattr(judge_runs, "CACHED_TICKS", 1000)
     assert cached_in_memory(plan) is plan
 

@@ -114,9 +114,9 @@ def test_end_of_a_run_is_stored_before_its_verdict(
 
     monkeypatch.setattr("threadline.live.job_run.judge", interrupted)
     assert run(tmp_path / "runs") == 130
-    kept = opened(tmp_path / "runs")
-    assert kept is not None
-    (record,) = kept.index.runs()
+    store = opened(tmp_path / "runs")
+    assert store is not None
+    (record,) = store.index.runs()
     assert (record.ended, record.passed) == ("completed", None)
 
 
