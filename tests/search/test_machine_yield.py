@@ -261,10 +261,10 @@ def test_the_command_that_is_told_proves_the_worst_machine(
     with pytest.raises(SystemExit):
         main([*words, "--worst", worst, "--json"])
     content = json.loads(capsys.readouterr().out)
-    words = shlex.split(content["command"])
-    assert words[:2] == ["threadline", "prove"]
+    command = shlex.split(content["command"])
+    assert command[:2] == ["threadline", "prove"]
     with pytest.raises(SystemExit):
-        main([*words[1:], "--json"])
+        main([*command[1:], "--json"])
     proved = json.loads(capsys.readouterr().out)
     shares = {
         " ".join(filter(None, (c["name"], c["axis"]))): c["measured"] / c["limit"]

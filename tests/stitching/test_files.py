@@ -112,8 +112,8 @@ def test_every_row_reads_as_it_was_planned(
     turns = list(struct.iter_unpack(ROW, content[12:]))
     assert len(turns) == count == manifest["turns"]
     with (folder / "rosette.stitches.csv").open(newline="") as file:
-        rows = [list(map(int, row)) for row in list(csv.reader(file))[1:]]
-    assert rows == [[k, *row] for k, row in enumerate(turns)]
+        read_rows = [list(map(int, row)) for row in list(csv.reader(file))[1:]]
+    assert read_rows == [[k, *row] for k, row in enumerate(turns)]
 
     # Played like a controller: the frame comes to every place of the design.
     position, free = np.zeros(2, dtype=int), 0
