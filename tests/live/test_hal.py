@@ -248,7 +248,7 @@ def test_a_jog_at_manual_feed_ends_by_itself(gone: bool, tmp_path: Path) -> None
             refuse_slept(executor.ended)
             assert executor.state is State.JOGGING, executor.ended
             executor.renew()
-            renewed_at = int(executor.stands[1])
+            renewed_at = int(executor.position_counts[1])
         if gone:
             link.close()  # without a message
         else:

@@ -344,15 +344,15 @@ def test_answers_that_cannot_be_are_refused(
 def test_ignored_setting_is_reported_with_its_line(text: str, message: str, tmp_path: Path) -> None:
     file = tmp_path / "settings.txt"
     file.write_text(text)
-    (unheeded,) = read_settings(file).unheeded
-    assert message in unheeded and f"settings.txt:{len(text.splitlines())}" in unheeded
+    (ignored,) = read_settings(file).ignored
+    assert message in ignored and f"settings.txt:{len(text.splitlines())}" in ignored
 
 
 @pytest.mark.parametrize("off", ["echo:  M593 X F0.00 D0.1\n", 'M593 P"none"\n'])
 def test_a_shaper_that_is_off_is_not_told(off: str, tmp_path: Path) -> None:
     file = tmp_path / "settings.txt"
     file.write_text((MARLIN if off.startswith("echo") else REPRAPFIRMWARE) + off)
-    assert not read_settings(file).unheeded
+    assert not read_settings(file).ignored
 
 
 @pytest.mark.parametrize(

@@ -39,7 +39,7 @@ def test_a_manual_stepper_of_klipper_is_the_axis_that_a_macro_makes_it(tmp_path:
     assert isinstance(own.planner, KlipperPlanner)
     assert math.degrees(own.planner.jump["A"].si) == pytest.approx(20.0)
     assert math.degrees(own.planner.alone["A"].si) == pytest.approx(700.0)
-    assert not read_settings(tmp_path / "settings.txt").unheeded
+    assert not read_settings(tmp_path / "settings.txt").ignored
 
 
 def test_missing_limits_of_a_manual_stepper_are_requested(tmp_path: Path) -> None:
@@ -62,7 +62,7 @@ def test_a_manual_stepper_without_its_command_is_told(
     file.write_text(X_ALONE + text)
     settings = read_settings(file)
     assert "".join(settings.axes) == axes
-    assert len(settings.unheeded) == 1 and message in settings.unheeded[0]
+    assert len(settings.ignored) == 1 and message in settings.ignored[0]
 
 
 @pytest.mark.parametrize(
@@ -119,7 +119,7 @@ def test_a_comment_makes_no_axis(tmp_path: Path) -> None:
         file.write_text(X_ALONE + MANDREL + TAKEN.replace("MANUAL", mark + "MANUAL"))
         settings = read_settings(file)
         assert list(settings.axes) == ["X"]
-        assert "is omitted" in settings.unheeded[0]
+        assert "is omitted" in settings.ignored[0]
 
 
 def test_an_axis_that_is_taken_away_again_is_told(tmp_path: Path) -> None:
@@ -127,7 +127,7 @@ def test_an_axis_that_is_taken_away_again_is_told(tmp_path: Path) -> None:
     file.write_text(X_ALONE + MANDREL + TAKEN + "    MANUAL_STEPPER STEPPER=mandrel GCODE_AXIS=\n")
     settings = read_settings(file)
     assert list(settings.axes) == ["X", "A"]
-    assert len(settings.unheeded) == 1 and "removes the axis again" in settings.unheeded[0]
+    assert len(settings.ignored) == 1 and "removes the axis again" in settings.ignored[0]
 
 
 def test_two_steppers_of_one_letter_are_refused(tmp_path: Path) -> None:

@@ -144,10 +144,10 @@ def test_the_last_whole_dump_of_a_log_counts(tmp_path: Path) -> None:
 def test_warnings_come_only_from_the_last_dump(tmp_path: Path) -> None:
     older = FIRST.replace("M204 S3000", "M204 S2000") + "echo:  M852 I0.0100\n"
     newer = FIRST + "echo:  M852 I0.0200\n"
-    (unheeded,) = read(tmp_path, older + newer).unheeded
-    assert "M852 I0.0200" in unheeded
-    (unheeded,) = read(tmp_path, newer + newer).unheeded
-    assert "M852 I0.0200" in unheeded
+    (ignored,) = read(tmp_path, older + newer).ignored
+    assert "M852 I0.0200" in ignored
+    (ignored,) = read(tmp_path, newer + newer).ignored
+    assert "M852 I0.0200" in ignored
 
 
 @pytest.mark.parametrize("behind", [">>> $110=6000\nok\n", ">>> $$\n$11=0.020\n$100=111.000\n"])
@@ -317,13 +317,13 @@ def test_ignored_marlin_settings_are_reported_and_stored(
     line: str, message: str, tmp_path: Path
 ) -> None:
     settings = read(tmp_path, f"{FIRST}{line}\n")
-    (unheeded,) = settings.unheeded
-    assert message in unheeded and f"settings.txt:{len(FIRST.splitlines()) + 1}" in unheeded
+    (ignored,) = settings.ignored
+    assert message in ignored and f"settings.txt:{len(FIRST.splitlines()) + 1}" in ignored
     file = tmp_path / "machine.toml"
     answers = parse_answers(["travel=300 mm"])
     file.write_text(machine_text(settings, answers, "m", limits_only=True))
     planner = load_machine(file).planner
-    assert planner is not None and planner.left_out == [unheeded]
+    assert planner is not None and planner.left_out == [ignored]
 
 
 @pytest.mark.parametrize(
@@ -332,7 +332,7 @@ def test_ignored_marlin_settings_are_reported_and_stored(
 )
 def test_disabled_setting_gives_no_warning(line: str, tmp_path: Path) -> None:
     settings = read(tmp_path, f"{FIRST}echo:  {line}\n")
-    assert not settings.unheeded
+    assert not settings.ignored
     assert numbers(settings) == numbers(read(tmp_path, FIRST))
 
 
@@ -476,9 +476,9 @@ def test_the_queue_of_reprapfirmware_only_grows(tmp_path: Path) -> None:
 def test_ignored_reprapfirmware_settings_are_reported(
     line: str, message: str, tmp_path: Path
 ) -> None:
-    (unheeded,) = read(tmp_path, f"{REPRAPFIRMWARE}{line}\n").unheeded
-    assert message in unheeded
-    assert not read(tmp_path, REPRAPFIRMWARE + "M556 S100 X0 Y0\nM425 X0\nM579 X1 Y1\n").unheeded
+    (ignored,) = read(tmp_path, f"{REPRAPFIRMWARE}{line}\n").ignored
+    assert message in ignored
+    assert not read(tmp_path, REPRAPFIRMWARE + "M556 S100 X0 Y0\nM425 X0\nM579 X1 Y1\n").ignored
 
 
 def test_keys_of_fluidnc_have_no_case(tmp_path: Path) -> None:
@@ -556,7 +556,7 @@ def test_an_ini_of_linuxcnc_becomes_a_machine(tmp_path: Path) -> None:
         "A steps": 88.888, "A rate": 5400.0, "A acceleration": 300.0,
         "tolerance": 0.02, "cam_tolerance": 0.01,
     }  # fmt: skip
-    assert "BACKLASH = 0.02" in settings.unheeded[0]
+    assert "BACKLASH = 0.02" in settings.ignored[0]
     assert sum("HAL file" in note for note in settings.notes) == 2
     asked = [one.key for one in missing_answers(settings, parse_answers([]), limits_only=True)]
     assert asked == ["radius"]  # TYPE says which axis is rotary

@@ -42,7 +42,7 @@ from threadline.verdict.fibre import (
 )
 from threadline.verdict.finding import Finding
 from threadline.verdict.laid_error import off_design
-from threadline.verdict.pattern import Closing, Covering
+from threadline.verdict.pattern import CoverageGap, PatternClosure
 from threadline.verdict.replayed import (
     Wound,
     WoundJob,
@@ -308,7 +308,7 @@ def test_a_pattern_closes_after_its_number_of_circuits(
     assert machine.tool is not None
     eyes = _eyes(circuit, circuits)
     job = WoundJob(vessel, machine.tool, machine.axis_names)
-    closing = Closing([job], 3)
+    closing = PatternClosure([job], 3)
     replay = job.replay()
     for part in np.array_split(eyes, 7):
         fibre = replay.feed(part)
@@ -393,7 +393,7 @@ def test_coverage_says_how_much_of_the_fibre_it_does_not_know(
     """Untied, the first five free lengths of 40 mm are unknown: 0.2 m of two circuits."""
     assert machine.tool is not None
     eyes = _eyes(circuit, 2)
-    covering = Covering([WoundJob(vessel, machine.tool, machine.axis_names)], 3)
+    covering = CoverageGap([WoundJob(vessel, machine.tool, machine.axis_names)], 3)
     replay = Replay(vessel.surface, machine.tool, 0.2)
     for part in np.array_split(eyes, 5):
         blank = np.zeros((len(part), 3))
@@ -406,7 +406,7 @@ def test_coverage_says_how_much_of_the_fibre_it_does_not_know(
     assert covering.found().worst().note.endswith("and that fibre may lie in the gap")
     none = Gap(0.0, 0.0, -1, "")
     monkeypatch.setattr(Raster, "gap", lambda _: none)
-    full = Covering([WoundJob(vessel, machine.tool, machine.axis_names)], 3)
+    full = CoverageGap([WoundJob(vessel, machine.tool, machine.axis_names)], 3)
     fibre = Replay(vessel.surface, machine.tool, 0.2).feed(part)
     full.take([Wound(blank[:, 0], None, blank, fibre, part)])
     finding = full.found().worst()
@@ -428,7 +428,7 @@ def test_a_mandrel_that_slips_leaves_a_pattern_open_on_one_side(
     product = replace(vessel, slip=Toleranced(slip), at=Toleranced(0.0))
     job = WoundJob(product, machine.tool, machine.axis_names)
     positions = _eyes(circuit, programs.CIRCUITS)[:, :3]
-    closing, replay = Closing([job], 3), job.replay()
+    closing, replay = PatternClosure([job], 3), job.replay()
     eyes = job.eyes(positions)
     fibre = replay.feed(eyes)
     closing.take([Wound(np.zeros(len(eyes)), None, positions, fibre, eyes)])

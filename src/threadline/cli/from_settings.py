@@ -158,8 +158,8 @@ def settings_files(
         _assume_steps(settings, given_answers)
     text = machine_text(settings, given_answers, kind, limits_only=limits_only)
     _check(text, settings)
-    for unheeded in settings.unheeded:
-        warning(unheeded)
+    for ignored in settings.ignored:
+        warning(ignored)
     head = f"# From the settings of {settings.firmware}, by Threadline {__version__}.\n#\n"
     projects = resources.files("threadline.cli") / "projects"
     project = projects / ("limits" if limits_only else "firmware")
@@ -184,7 +184,7 @@ def settings_files(
         ]
     form = settings.form or settings.firmware
     notes = [*settings.notes, *([_LIMITS_ONLY] if no_dynamics else [])]
-    return FromSettings(contents, form, rows, notes, settings.unheeded)
+    return FromSettings(contents, form, rows, notes, settings.ignored)
 
 
 def _assume_steps(settings: Settings, answers: Answers) -> None:
@@ -201,7 +201,7 @@ def _assume_steps(settings: Settings, answers: Answers) -> None:
         )
         if axis_settings.steps is None and given_steps is None:
             name = "the INI has no scale; times do not depend on it"
-            settings.say(axis, "steps", _ANY_STEPS, Place(settings.file), name)
+            settings.record(axis, "steps", _ANY_STEPS, Place(settings.file), name)
 
 
 def read_rows(settings: Settings) -> list[Row]:

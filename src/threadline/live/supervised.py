@@ -307,7 +307,7 @@ class MovedByHand(Protocol):
     stops: int
 
     @property
-    def stands(self) -> IntArray:
+    def position_counts(self) -> IntArray:
         """Commanded position, (axes,) in counts."""
 
     def stand(self, patience_s: float) -> None:
@@ -361,7 +361,7 @@ def moved_in_turn(
     """
     names = list(machine.axes)
     for axis, target in targets:
-        if executor.stands[names.index(axis)] == target:
+        if executor.position_counts[names.index(axis)] == target:
             continue
         executor.move(axis, target)
         while not executor.over:

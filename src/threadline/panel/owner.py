@@ -257,7 +257,7 @@ class Owner:
         elif what == "step":
             self._refuse_impossible(Cause.JOG)
             k = self._machine.axis_names.index(str(head["axis"]))
-            to = int(executor.stands[k]) + int(head["by"])
+            to = int(executor.position_counts[k]) + int(head["by"])
             self._moves.begin([(str(head["axis"]), to)], request.stops, clock_s())
         elif what == "console":
             self._refuse_console()
@@ -383,7 +383,10 @@ class Owner:
             why=self._runs.why,
             time_s=executor.time_s,
             axes=positions(
-                channels, executor.latest, machine, executor.stands if executor.homed else None
+                channels,
+                executor.latest,
+                machine,
+                executor.position_counts if executor.homed else None,
             ),
             signals=signals(channels, executor.latest),
             readings=readings(channels, executor.latest),

@@ -103,7 +103,7 @@ def read_grbl(lines: Sequence[str], file: str) -> Settings:
                 f"{setting.place}: {name}={setting.text}: {_NONE_IS_ZERO} ({quantity})"
             )
             continue
-        settings.say(letter, quantity, setting.text, setting.place, name)
+        settings.record(letter, quantity, setting.text, setting.place, name)
     if not steps_given and absent:
         settings.axes.clear()
     return settings
@@ -178,7 +178,7 @@ def read_fluidnc(lines: Sequence[str], file: str) -> Settings:
             letter = parents[1].upper()
             if letter in _LETTERS:
                 name = f"axes.{parents[1]}.{key}"
-                settings.say(letter, _FLUIDNC[key], value, place, name)
+                settings.record(letter, _FLUIDNC[key], value, place, name)
         elif parents == ["kinematics"] and key != "cartesian":
             settings.refuse_kinematics(f"kinematics: {typed[:40]}", place)
         elif not parents and key == "kinematics" and value.lower() not in ("", "cartesian"):
@@ -188,7 +188,7 @@ def read_fluidnc(lines: Sequence[str], file: str) -> Settings:
     for letter, axis in settings.axes.items():
         for quantity, default in _FLUIDNC_TAKES.items():
             if getattr(axis, quantity) is None:
-                settings.say(letter, quantity, default, Place(file), "default of fluidnc")
+                settings.record(letter, quantity, default, Place(file), "default of fluidnc")
     return settings
 
 

@@ -354,8 +354,8 @@ def _planner(settings: Settings, turning: str) -> Iterator[str]:
         )
         yield f"jump = {{ {', '.join(texts)} }}"
     yield from (f"{key} = true" for key in _SWITCHES if key in planner)
-    if settings.unheeded:
-        texts = (f'"{_printable(text)}"' for text in settings.unheeded)
+    if settings.ignored:
+        texts = (f'"{_printable(text)}"' for text in settings.ignored)
         yield f"left_out = [{', '.join(texts)}]"
     axis_accelerations = {
         key[-1]: value for key, value in planner.items() if key.startswith("alone.")

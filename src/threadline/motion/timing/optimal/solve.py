@@ -206,7 +206,7 @@ class Problem:
         )
         drive, first = demand_rows(at.c, of.demand, largest, top)
         if of.deceleration is not None:
-            drive, first = with_braking(drive, first, at.c, *of.sides)
+            drive, first = with_braking(drive, first, at.c, *of.accelerations)
         self.rows = acc, jerk, points, count, top, drive, first
         self.slacks = int(2 * count.sum() + len(at) + 3 * np.isfinite(top).sum() + len(drive))
 
@@ -286,7 +286,9 @@ class Problem:
                 yield np.asarray(used_block)
             else:
                 # First, since guards are located relative to the end.
-                yield np.concatenate([braking_shares(c, y, *of.sides, _PLACES), used_block], axis=2)
+                yield np.concatenate(
+                    [braking_shares(c, y, *of.accelerations, _PLACES), used_block], axis=2
+                )
 
     def _fastest(self) -> FloatArray:
         """Return the (axes,) largest velocities of the motion: bounds, tight for short elements."""

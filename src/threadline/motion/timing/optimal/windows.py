@@ -363,7 +363,7 @@ def _is_even(x: FloatArray, level: float | None) -> bool:
 
 def _braking_s(limits: Limits) -> float:
     """Return the time that the slowest axis takes to brake from its velocity limit to rest."""
-    v, a, j = limits.velocity, np.minimum(*limits.sides), limits.jerk
+    v, a, j = limits.velocity, np.minimum(*limits.accelerations), limits.jerk
     with np.errstate(invalid="ignore", over="ignore"):
         braking_time_s = np.where(v * j > a**2, v / a + a / j, 2.0 * np.sqrt(v / j))
     return float(np.max(braking_time_s[np.isfinite(braking_time_s)], initial=0.0))
