@@ -136,7 +136,7 @@ class Cluster:
 
     def __init__(self, address: str) -> None:
         self.address = address
-        self._wanted = versions()
+        self._expected_versions = versions()
         self._client = _connected(address)
         self._seen_s = time.monotonic()
         self._counted_s = -float("inf")
@@ -242,7 +242,7 @@ class Cluster:
     def _begun(self, content: Any, digest: str, items: list[Any]) -> Any:
         with self._failing(), _quiet():
             return self._client.submit(
-                answer_on_worker, content, digest, self._wanted, items, pure=False
+                answer_on_worker, content, digest, self._expected_versions, items, pure=False
             )
 
     def _awaited(self, future: Any) -> Answer:
@@ -276,7 +276,7 @@ class Cluster:
                 raise self._refused(worker, f"has no {worker_versions.name}")
             if isinstance(worker_versions, Exception):
                 raise self._refused(worker, f"cannot tell its versions: {worker_versions}")
-            if difference := other_versions(worker_versions, self._wanted):
+            if difference := other_versions(worker_versions, self._expected_versions):
                 raise self._refused(worker, difference)
 
     def _refused(self, worker: str, why: str) -> OptionError:

@@ -126,13 +126,13 @@ def sensitivity_content(sensitivities: Sensitivities, judged: MachineYield) -> d
     }
 
 
-def show_set(found: CheapestSet, judged: MachineYield, wanted: str) -> None:
+def show_set(found: CheapestSet, judged: MachineYield, yield_goal: str) -> None:
     """Print which tolerances to halve, and the yield of machines with these tolerances."""
     words = (
         f"{found.passed} of {found.tried} machines in spec, {yield_words(found.interval)} of all"
     )
     if not found.reached:
-        say(f"no set of tolerances was found that reaches {wanted}; the best of them: {words}")
+        say(f"no set of tolerances was found that reaches {yield_goal}; the best of them: {words}")
         return
     rows = []
     for number, factor in zip(judged.numbers, found.factors.tolist(), strict=True):
@@ -144,7 +144,7 @@ def show_set(found: CheapestSet, judged: MachineYield, wanted: str) -> None:
             )
             rows.append([number.name, present_text, new_text, f"1/{1.0 / factor:.0f}"])
     head = ["number", "tolerance", "instead", "of it"]
-    print_table(f"cheapest set that reaches {wanted}: {found.halvings} halvings", head, rows)
+    print_table(f"cheapest set that reaches {yield_goal}: {found.halvings} halvings", head, rows)
     say(f"with it: {words}")
 
 

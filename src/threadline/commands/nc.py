@@ -415,10 +415,10 @@ def _farthest_m(job: Job, machine: Machine, path: Path, dialect: str) -> float:
     radius = machine.radius_m[[machine.axis_names.index(axis) for axis in job.axes]]
     again = read_part_program(path, machine=machine, dialect=dialect)
     order = [again.axes.index(axis) for axis in job.axes]
-    wanted, found = _ends_of_moves(job), _ends_of_moves(again)[:, order]
-    if wanted.shape != found.shape:
-        raise _not_the_job(f"{len(found)} moves instead of {len(wanted)}")
-    off = float(np.abs((found - wanted) * radius).max())
+    expected, found = _ends_of_moves(job), _ends_of_moves(again)[:, order]
+    if expected.shape != found.shape:
+        raise _not_the_job(f"{len(found)} moves instead of {len(expected)}")
+    off = float(np.abs((found - expected) * radius).max())
     if off > _NEAR_M:
         raise _not_the_job(f"{1e3 * off:.3g} mm beside the job")
     return off

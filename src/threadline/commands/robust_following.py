@@ -138,7 +138,7 @@ def robust_averages(
             )
         )
     program = _Program(planned.axes, axes, change_s=change_s, grid_s=grid_s, samples=samples)
-    leads, wanted, swing = leads_of(planned), _shares(job), _swing(job)
+    leads, shares, swing = leads_of(planned), _shares(job), _swing(job)
     of = _SOONER if len(machines) > 1 else 1.0
     turn_s = change_s / TURNS if smoothing_s is None else None
     own: dict[bool, list[RobustWeights]] = {}
@@ -152,7 +152,7 @@ def robust_averages(
                         early_s,
                         stop=stop,
                         leads_s=leads_s,
-                        share=wanted,
+                        share=shares,
                         of=of,
                         swing=_SOONER * swing,
                     )

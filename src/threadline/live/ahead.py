@@ -260,14 +260,14 @@ class Ahead:
 
     def _refill(self, begin: int, tail: FloatArray, events: Sequence[Event] = ()) -> Message:
         places = np.concatenate([self._places[begin - self._first :], tail])
-        wanted = self.end - begin
+        row_count = self.end - begin
         positions = self._window.counts(places)
         at_counts = np.rint(positions).astype(np.int64)
         counts = at_counts[1:] - at_counts[:-1]
         self._check(positions + self.start, counts)
         head = {
             "first": begin,
-            "wanted": wanted,
+            "wanted": row_count,
             "last": self.complete,
             "events": [event_row(event) for event in (*events, *self._events(begin))],
         }

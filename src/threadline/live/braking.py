@@ -261,8 +261,8 @@ def change_rate(
     arriving = place - rate_before * np.arange(2.0, -1.0, -1.0)
     last = floor(place) + most_changed(gently) + 2
     path_counts = path.counts(np.arange(floor(arriving[0]), last, dtype=np.float64))
-    for wanted in [gently * factor for factor in _LONGER] if gently else _DURATIONS:
-        ticks = _landing(place, rate_before, wanted) if rate_after == 1.0 else wanted
+    for duration in [gently * factor for factor in _LONGER] if gently else _DURATIONS:
+        ticks = _landing(place, rate_before, duration) if rate_after == 1.0 else duration
         k = np.arange(1, ceil(ticks) + 1)
         elapsed = np.minimum(k, ticks)
         places = np.asarray(
@@ -284,11 +284,11 @@ def change_rate(
     )
 
 
-def _landing(place: float, rate_before: float, wanted: float) -> float:
-    """Return a duration of at least ``wanted`` ticks after which the rate 1 begins on a whole row.
+def _landing(place: float, rate_before: float, duration: float) -> float:
+    """Return a duration of at least ``duration`` ticks, so that the rate 1 begins on a whole row.
 
     A change in T ticks is T (1 - before) / 2 rows shorter than T ticks at the rate 1.
     """
     row = 2.0 / (1.0 - rate_before)  # ticks that lose a row
     over_row = row * (place - floor(place))
-    return over_row + row * max(ceil((wanted - over_row) / row), 0 if over_row else 1)
+    return over_row + row * max(ceil((duration - over_row) / row), 0 if over_row else 1)

@@ -386,7 +386,7 @@ def criteria_of(
     if take_up is None and spool is not None:
         follows = tensions_n if spool.most_torque is not None else ()
         take_up = min((spool.take_up_at(one) for one in follows), default=spool.take_up_m)
-    wanted: dict[str, float | None] = {
+    limits: dict[str, float | None] = {
         "planned_slip_tendency": slip,
         "planned_bridging": _LEAST_M,
         "planned_lifting": _LEAST_M,
@@ -403,10 +403,10 @@ def criteria_of(
         "pattern_closure": None,
     }
     if product.covered is not None:
-        wanted |= {"planned_coverage_gap": product.gap, "coverage_gap": product.gap}
+        limits |= {"planned_coverage_gap": product.gap, "coverage_gap": product.gap}
     found = [
         Criterion(name=name, limit=limit, required=limit is not None)
-        for name, limit in wanted.items()
+        for name, limit in limits.items()
     ]
     if spool is not None:
         # Not required: a real machine may have no sensor of the tension.

@@ -299,7 +299,7 @@ class StitchFollower:
         way = self._at(at_s) - self._at(at_s - over_s)
         # A stitch far below the resolution of the timing may take no time: its speed is infinite.
         with np.errstate(divide="ignore"):
-            wanted = (run.target_m / lasts_s)[stitch]
+            set_speed = (run.target_m / lasts_s)[stitch]
             if run.follows.any():
                 own = run.follows[stitch]
                 way_m = np.linalg.norm(run.point - run.from_point, axis=1)
@@ -308,9 +308,9 @@ class StitchFollower:
                 geared = share * self._geared_m_s(due_s, over_s[own])
                 # The planned speed falls to zero beside a rest, where stitches are exempt.
                 least = _SLOWEST * (run.target_m * run.fastest_hz)[stitch[own]]
-                wanted[own] = np.maximum(geared, least)
-            wanted = wanted[:, None]
-        error = np.sqrt((way**2).sum(axis=1)) / over_s[:, None] / wanted - 1.0
+                set_speed[own] = np.maximum(geared, least)
+            set_speed = set_speed[:, None]
+        error = np.sqrt((way**2).sum(axis=1)) / over_s[:, None] / set_speed - 1.0
         starts = np.minimum(np.searchsorted(stitch, np.arange(len(run))), len(stitch) - 1)
         sizes = np.abs(error)
         # The first sample of each stitch with its largest error.

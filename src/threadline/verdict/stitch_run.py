@@ -274,9 +274,9 @@ class StitchRun:
         """Return which stitches were not seen; empty if all were."""
         if self._sewn is None:
             return ""
-        wanted, seen = len(self.turns), self._sewn.seen
-        if seen != wanted:
-            return f"the needle entered {seen} times, the design has {wanted} stitches"
+        planned_count, seen = len(self.turns), self._sewn.seen
+        if seen != planned_count:
+            return f"the needle entered {seen} times, the design has {planned_count} stitches"
         own = [c for c in self.recording.channels if c.axis in self.plan.axes or c.name == NEEDLE]
         lack = self._coverage.lack(own, 0.0, self._sewn.until_s)
         return "" if lack is None else lack.why

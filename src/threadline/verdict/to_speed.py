@@ -143,7 +143,7 @@ class _ToSpeed:
         whole = [np.concatenate([tail, p]) for tail, p in zip(tails, points, strict=True)]
         self._tail = [p[-self._span :] for p in whole]
         speeds = [(p[self._span :] - p[: -self._span]) / self._over_s for p in whole]
-        rows, wanted, period_s, follows, sewn = self._set(block.due_s, speeds[1][:, :, 0])
+        rows, set_speed, period_s, follows, sewn = self._set(block.due_s, speeds[1][:, :, 0])
         meant, actual = (np.linalg.norm(v, axis=1) for v in speeds[::2])
         going = np.ones(len(block), dtype=np.bool_)
         if block.slow is not None:  # a hold is the operator's choice
@@ -152,13 +152,13 @@ class _ToSpeed:
         if kept.any():
             self._past.add(rows.rows(kept))
         # For a following needle the set speed is the commanded speed, while it moves at all.
-        geared = np.maximum(meant[:, 0], _MOVES * wanted)
-        wanted = np.where(follows, geared, wanted)
+        geared = np.maximum(meant[:, 0], _MOVES * set_speed)
+        set_speed = np.where(follows, geared, set_speed)
         at = np.flatnonzero(sewn & going)
         if len(at):
             self._turn_s = max(self._turn_s, float(period_s[at].max()))
-            self._take_heads(block, at, actual[at] / wanted[at, None])
-            self._take_command(block, at, meant[at, 0] / wanted[at], period_s[at], follows[at])
+            self._take_heads(block, at, actual[at] / set_speed[at, None])
+            self._take_command(block, at, meant[at, 0] / set_speed[at], period_s[at], follows[at])
         self._resolve(final=False)
 
     def finish(self) -> Sequence[RunFindings]:
@@ -180,7 +180,7 @@ class _ToSpeed:
             the set speed is its highest.
         """
         count, width = velocity.shape
-        wanted, period_s = np.ones(count), np.ones(count)
+        set_speed, period_s = np.ones(count), np.ones(count)
         follows = np.zeros(count, dtype=np.bool_)
         known = np.zeros(count, dtype=np.bool_)
         along, contour = np.zeros((count, width)), np.zeros(count, dtype=np.int64)
@@ -189,7 +189,7 @@ class _ToSpeed:
 
         def fill(run: Stitches, mine: NDArray[np.bool_], stitch: IntArray) -> None:
             speed = np.where(run.follows, run.fastest_hz, 1.0 / run.period_s)
-            wanted[mine] = (run.target_m * speed)[stitch]
+            set_speed[mine] = (run.target_m * speed)[stitch]
             follows[mine] = run.follows[stitch]
             period_s[mine] = run.period_s[stitch]
             step = run.point - run.from_point
@@ -222,8 +222,8 @@ class _ToSpeed:
             self._number += len(run)
         rows = Rows(
             due_s=np.asarray(due_s),
-            velocity=velocity / wanted[:, None],
-            grain=self._count_m / self._over_s / wanted[:, None],
+            velocity=velocity / set_speed[:, None],
+            grain=self._count_m / self._over_s / set_speed[:, None],
             along=along,
             stitch=number,
             contour=contour,
@@ -232,7 +232,7 @@ class _ToSpeed:
             first=first,
             rest_s=rest_s,
         )
-        return rows, wanted, period_s, follows, sewn
+        return rows, set_speed, period_s, follows, sewn
 
     def _take_heads(self, block: Block, at: IntArray, actual: FloatArray) -> None:
         """Find where (n, runs) relative speeds of the heads pass 95 %."""

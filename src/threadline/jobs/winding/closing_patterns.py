@@ -262,11 +262,11 @@ def _by_friction(wrap: Wrap) -> Callable[[float], float]:
     return _inverse(samples[is_known], advances[is_known], wrap.base.advance)
 
 
-def _largest_succeeding(advance_at: Callable[[float], float], wanted: float) -> float:
-    """Return the largest value from 0 towards ``wanted`` at which a trial still succeeds."""
-    if not math.isnan(advance_at(wanted)):
-        return wanted
-    low, high = 0.0, wanted
+def _largest_succeeding(advance_at: Callable[[float], float], target: float) -> float:
+    """Return the largest value from 0 towards ``target`` at which a trial still succeeds."""
+    if not math.isnan(advance_at(target)):
+        return target
+    low, high = 0.0, target
     for _ in range(_HALVINGS):
         middle = 0.5 * (low + high)
         low, high = (low, middle) if math.isnan(advance_at(middle)) else (middle, high)
