@@ -138,7 +138,7 @@ def fastest(job: PathLike, machine: PathLike | Machine, **words: Word) -> Fastes
     with given.judging():
         found = answered(question_of(given, Path(job), machine))
     proving = {one.word for one in options_for("prove", Door.PYTHON)}
-    kept = {word: value for word, value in words.items() if word in proving}
+    proving_words = {word: value for word, value in words.items() if word in proving}
     own_end = isinstance(found.of, FastestJob) and words.get("high") is None
     return FastestResult(
         found.best if found.over_band is None else found.over_band.cycle_s,
@@ -149,16 +149,16 @@ def fastest(job: PathLike, machine: PathLike | Machine, **words: Word) -> Fastes
         found.certainty,
         found.mismatch,
         found.ended,
-        partial(_prove_again, job, machine, kept),
+        partial(_prove_again, job, machine, proving_words),
         "the velocity limits of the axes" if own_end else "the end of the search",
         "" if found.searched is CYCLE else found.searched.name,
     )
 
 
 def _prove_again(
-    job: PathLike, machine: PathLike | Machine, kept: Mapping[str, Word], **words: Word
+    job: PathLike, machine: PathLike | Machine, proving_words: Mapping[str, Word], **words: Word
 ) -> Proved:
-    return prove(job, machine, **{**kept, **words})
+    return prove(job, machine, **{**proving_words, **words})
 
 
 @with_options

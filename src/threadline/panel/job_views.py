@@ -235,12 +235,12 @@ def _further_apart(places: FloatArray, least: float) -> NDArray[np.bool_]:
 
     Smaller turns come from rounded positions, and are no turns of the carriage.
     """
-    kept = np.zeros(len(places), dtype=np.bool_)
+    is_kept = np.zeros(len(places), dtype=np.bool_)
     last_kept = -np.inf
     for k, place in enumerate(places.tolist()):
-        kept[k] = abs(place - last_kept) > least
-        last_kept = place if kept[k] else last_kept
-    return kept
+        is_kept[k] = abs(place - last_kept) > least
+        last_kept = place if is_kept[k] else last_kept
+    return is_kept
 
 
 def _stitches(

@@ -32,10 +32,10 @@ class SewnClock:
         self._due_s: FloatArray = np.empty(0)
         self._slow_s: FloatArray = np.empty(0)  # samples before which the run was held
 
-    def take(self, block: Block, kept: IntArray) -> None:
-        """Take the samples ``kept`` of a block."""
-        self._time_s = np.concatenate([self._time_s, block.time_s[kept]])
-        self._due_s = np.concatenate([self._due_s, block.due_s[kept]])
+    def take(self, block: Block, used: IntArray) -> None:
+        """Take the samples ``used`` of a block."""
+        self._time_s = np.concatenate([self._time_s, block.time_s[used]])
+        self._due_s = np.concatenate([self._due_s, block.due_s[used]])
         if block.slow is not None:
             self._held = True
             self._slow_s = np.concatenate([self._slow_s, block.time_s[block.slow]])
@@ -175,13 +175,13 @@ class StitchFollower:
         """Return the stitches, in groups, that are complete with the samples of a block."""
         time_s, actual = block.time_s, block.actual
         assert actual is not None
-        kept = self._rows_used(time_s)
-        self._clock.take(block, kept)
-        points = self._at_tool(actual[kept])
-        self._time_s = np.concatenate([self._time_s, time_s[kept]])
+        used = self._rows_used(time_s)
+        self._clock.take(block, used)
+        points = self._at_tool(actual[used])
+        self._time_s = np.concatenate([self._time_s, time_s[used]])
         self._points = np.concatenate([self._points, points])
         if self._bows and block.velocity is not None:
-            speeds = self._at_tool(block.velocity[kept])
+            speeds = self._at_tool(block.velocity[used])
             self._speeds_m_s = np.concatenate([self._speeds_m_s, speeds])
         sewn = []
         while True:
