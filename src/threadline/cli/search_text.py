@@ -30,7 +30,7 @@ def limit_words(limited_by: str, end: str = END) -> str:
 
     >>> limit_words("range"), limit_words("contour_error")
     ('the end of the search (--high)', 'contour_error')
-    >>> limit_words("range", AXES_ALONE)
+    >>> limit_words("range", VELOCITY_LIMITS)
     'the velocity limits of the axes'
 
     Parameters
