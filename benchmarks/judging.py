@@ -20,7 +20,7 @@ from threadline.dynamics.values import Values
 from threadline.files import ChannelKind, tick_table
 from threadline.jobs import read_job
 from threadline.machine import load_machine
-from threadline.proof.judge_runs import AT_ONCE, RunsJudge, kept_in_memory
+from threadline.proof.judge_runs import AT_ONCE, RunsJudge, cached_in_memory
 from threadline.proof.options import options_of
 from threadline.proof.pipeline import plan_job
 from threadline.twin import BatchOptions, simulate, simulate_batch, simulate_runs
@@ -59,7 +59,7 @@ def _case(name: str, interpolation: str) -> _Case:
     phases = random.random((AT_ONCE, len(machine.axes)))
     body = machine.bodies["x"].inertia.si
     numbers = {"bodies.x.inertia": body * random.uniform(0.95, 1.05, AT_ONCE)}
-    return _Case(kept_in_memory(plan), load_spec(None, machine), numbers, phases)
+    return _Case(cached_in_memory(plan), load_spec(None, machine), numbers, phases)
 
 
 def _beside_single(name: str, case: _Case) -> dict[str, Any]:

@@ -30,8 +30,8 @@ def is_long(item: pytest.Item) -> bool:
     return case.id not in _ids(mark.kwargs["but"])
 
 
-def _ids(told: str | tuple[str, ...]) -> tuple[str, ...]:
-    return (told,) if isinstance(told, str) else told
+def _ids(worker_output: str | tuple[str, ...]) -> tuple[str, ...]:
+    return (worker_output,) if isinstance(worker_output, str) else worker_output
 
 
 def _plain(item: pytest.Item) -> str:
@@ -56,13 +56,13 @@ def unshown(items: list[pytest.Item]) -> list[str]:
                 found.add(f"{own} has no case {case!r}")
         shown_by = mark.kwargs.get("shown_by")
         if shown_by is None:
-            wanted = own
+            expected = own
         elif "::" in shown_by:
-            wanted = shown_by
+            expected = shown_by
         else:
-            wanted = f"{own.partition('::')[0]}::{shown_by}"
-        if wanted not in shorter:
-            found.add(f"{own} is long, and no shorter {wanted} stays in make test")
+            expected = f"{own.partition('::')[0]}::{shown_by}"
+        if expected not in shorter:
+            found.add(f"{own} is long, and no shorter {expected} stays in make test")
     return sorted(found)
 
 
@@ -80,9 +80,9 @@ def leave_out(config: pytest.Config, items: list[pytest.Item]) -> None:
     config.stash[LEFT] = len(long)
     config.hook.pytest_deselected(items=long)
     items[:] = [item for item in items if not is_long(item)]
-    told: dict[str, Any] | None = getattr(config, "workeroutput", None)
-    if told is not None:
-        told["left_long"] = len(long)
+    worker_output: dict[str, Any] | None = getattr(config, "workeroutput", None)
+    if worker_output is not None:
+        worker_output["left_long"] = len(long)
 
 
 class CountLong:

@@ -16,13 +16,13 @@ def test_rooms_stand_in_their_order() -> None:
     contracts = configparser.ConfigParser()
     contracts.read(ROOT / ".importlinter")
     layers = contracts["importlinter:contract:layers"]["layers"].split("\n")
-    wanted = [set(re.findall(r"\w+", layer)) for layer in reversed(layers) if layer.strip()]
+    expected = [set(re.findall(r"\w+", layer)) for layer in reversed(layers) if layer.strip()]
 
     page = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
     page = page.partition("## Kinds of work")[0]
     rows = [re.findall(r"`(\w+)/?`", cell) for cell in re.findall(r"^\| (`.*?) \|", page, re.M)]
 
-    assert [set(row) for row in rows] == wanted
+    assert [set(row) for row in rows] == expected
 
 
 def test_tests_stand_in_the_folder_of_their_room() -> None:

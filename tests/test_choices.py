@@ -55,8 +55,8 @@ def test_programmed_times_are_kept_exactly() -> None:
     assert trajectory.historical  # its velocity steps until it is smoothed
     assert trajectory.duration_s == pytest.approx(1.8, rel=1e-12)
     instants = np.array([0.0, 0.3, 0.6, 0.8, 1.0, 1.4, 1.8])
-    wanted = [0.0, 0.006, 0.012, 0.016, 0.02, 0.012, 0.004]
-    assert trajectory(instants)[:, 0] == pytest.approx(wanted, abs=1e-15)
+    expected = [0.0, 0.006, 0.012, 0.016, 0.02, 0.012, 0.004]
+    assert trajectory(instants)[:, 0] == pytest.approx(expected, abs=1e-15)
     assert trajectory(np.array([0.3, 1.4]), 1)[:, 0] == pytest.approx([0.02, -0.02], rel=1e-12)
 
 

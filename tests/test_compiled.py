@@ -125,9 +125,9 @@ def test_functions_are_compiled_each_time_without_a_writable_folder(
     monkeypatch.setattr("numba.config.CACHE_DIR", str(tmp_path / "a file" / "numba"))
     # numba would write beside the module or into the home of the user, which this user may.
     monkeypatch.setattr("numba.core.caching.CacheImpl._locator_classes", [UserProvidedCacheLocator])
-    monkeypatch.setattr(COMPILING, "kept", True)
+    monkeypatch.setattr(COMPILING, "cached", True)
     assert njit()(lambda x: 2.0 * x)(1.5) == 3.0
-    assert not COMPILING.kept and cache_folder(cache) is None
+    assert not COMPILING.cached and cache_folder(cache) is None
 
 
 def test_two_that_write_at_once_never_take_the_code_of_each_other(tmp_path: Path) -> None:
@@ -193,8 +193,8 @@ def test_one_process_compiles_a_function_while_others_wait(tmp_path: Path) -> No
         assert process.stdin is not None
         process.stdin.write("go\n")
         process.stdin.flush()
-    said = sorted(process.communicate()[0].split() for process in started)
-    assert said == [["2.5", "False"], ["2.5", "False"], ["2.5", "True"]]
+    output = sorted(process.communicate()[0].split() for process in started)
+    assert output == [["2.5", "False"], ["2.5", "False"], ["2.5", "True"]]
     assert not list((tmp_path / "__pycache__").glob("*.lock"))
 
 
@@ -212,7 +212,7 @@ def test_process_compiles_by_itself_after_the_lock_timeout(
 
 
 @pytest.mark.parametrize(
-    ("setting", "said"),
+    ("setting", "message"),
     [
         ("NUMBA_DISABLE_JIT=1", "NUMBA_DISABLE_JIT is set, .* Unset it."),
         ("NUMBA_NUM_THREADS=0", "numba refuses the settings .* Number of threads"),
@@ -220,7 +220,7 @@ def test_process_compiles_by_itself_after_the_lock_timeout(
         ("NUMBA_CACHE_LOCATOR_CLASSES=Nowhere", "numba refuses the settings .* 'Nowhere'"),
     ],
 )
-def test_an_environment_without_a_compiler_is_one_line(setting: str, said: str) -> None:
+def test_an_environment_without_a_compiler_is_one_line(setting: str, message: str) -> None:
     name, _, value = setting.partition("=")
     example = Path(__file__).parents[1] / "examples" / "x-180.prg"
     ran = subprocess.run(
@@ -228,7 +228,7 @@ def test_an_environment_without_a_compiler_is_one_line(setting: str, said: str) 
         env={**os.environ, name: value}, capture_output=True, text=True, check=False,
     )  # fmt: skip
     assert ran.returncode == 2
-    assert re.fullmatch(rf"error: \[OPTION\] .*{said}.*\n", ran.stderr), ran.stderr
+    assert re.fullmatch(rf"error: \[OPTION\] .*{message}.*\n", ran.stderr), ran.stderr
 
 
 _INTERRUPTED = """

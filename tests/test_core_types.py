@@ -102,8 +102,8 @@ def test_runs_go_on_together_and_are_told_one_after_the_other(
     )
     commands = {name: (sys.executable, "-c", code) for name in "abc"}
     assert run_together(commands, "CORE") == ["b"]
-    told = [line for line in capfd.readouterr().out.splitlines() if not line.startswith("==")]
-    assert told == [f"{name} {what}" for name in "abc" for what in ("begins", "goes on")]
+    lines = [line for line in capfd.readouterr().out.splitlines() if not line.startswith("==")]
+    assert lines == [f"{name} {what}" for name in "abc" for what in ("begins", "goes on")]
 
 
 def suite(folder: Path, ci: str, *words: str) -> subprocess.CompletedProcess[str]:

@@ -283,14 +283,14 @@ def test_every_verb_plans_alike_by_every_door(stopped: Path, work: str) -> None:
     """
     kind = "ticks" if work in {"loops", "seam"} else work
     plain = by_python("prove", stopped, work, {})
-    told = effective = 0
+    answered_count = effective = 0
     for one in PLANNING:
         words = given_to(one, work, stopped)
-        wanted = by_python("prove", stopped, work, words)
+        expected = by_python("prove", stopped, work, words)
         if kind not in one.kinds:
-            assert isinstance(wanted, str), one.name
-        elif not isinstance(wanted, str):
-            assert (wanted[4] != plain[4]) is (one.name not in SAME_COMMANDS), one.name
+            assert isinstance(expected, str), one.name
+        elif not isinstance(expected, str):
+            assert (expected[4] != plain[4]) is (one.name not in SAME_COMMANDS), one.name
             effective += 1
         for verb in LINE_VERBS:
             if verb not in one.verbs or one.name in SEARCHED.get(verb, ()):
@@ -302,11 +302,11 @@ def test_every_verb_plans_alike_by_every_door(stopped: Path, work: str) -> None:
                 assert by_python(verb, stopped, work, words) == found, (verb, one.name)
             if verb == "learn" and isinstance(found, str):
                 continue  # a machine without loops, or a needle that is timed for a lag
-            assert found == wanted, (verb, one.name)
-            told += not isinstance(found, str)
+            assert found == expected, (verb, one.name)
+            answered_count += not isinstance(found, str)
         if "panel" in one.verbs and Door.PANEL in one.doors:
-            assert by_panel(stopped, work, words) == wanted, one.name
-    assert told > 5
+            assert by_panel(stopped, work, words) == expected, one.name
+    assert answered_count > 5
     assert effective == EFFECTIVE[work]
 
 
@@ -393,9 +393,9 @@ def unjudged(monkeypatch: pytest.MonkeyPatch, jobs: Path) -> Path:
     monkeypatch.setattr(learned_job, "learn", stop)
     monkeypatch.setattr(cluster, "on_cluster", connected)
 
-    def designed(file: Path, machine: Machine, spec: Spec, options: Options, wanted: Any,
+    def designed(file: Path, machine: Machine, spec: Spec, options: Options, expected: Any,
                  *_: Any) -> None:  # fmt: skip
-        stop(machine, spec, options, wanted)
+        stop(machine, spec, options, expected)
 
     monkeypatch.setattr(design, "search_design", designed)
     monkeypatch.setattr("threadline.search.design.design", designed)
@@ -491,8 +491,10 @@ def test_a_redesign_tries_the_same_smoothing_times_by_both_doors(
     class AskedError(Exception):
         pass
 
-    def asked(file: Path, machine: Any, spec: Any, options: Options, wanted: Any, *_: Any) -> None:
-        raise AskedError(options, wanted)
+    def asked(
+        file: Path, machine: Any, spec: Any, options: Options, expected: Any, *_: Any
+    ) -> None:
+        raise AskedError(options, expected)
 
     monkeypatch.setattr(design, "search_design", asked)
     monkeypatch.setattr("threadline.search.design.design", asked)
@@ -553,7 +555,7 @@ def test_a_refusal_is_written_as_python_takes_it(stopped: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("verb", "word", "said"),
+    ("verb", "word", "message"),
     [
         ("compare", "feed", "compare takes no feed. Did you mean feeds?"),
         ("compare", "shaper", "compare takes no shaper. Did you mean shapers?"),
@@ -572,13 +574,13 @@ def test_a_refusal_is_written_as_python_takes_it(stopped: Path) -> None:
     ],
 )
 def test_an_argument_of_other_functions_is_refused_by_its_name(
-    stopped: Path, verb: str, word: str, said: str
+    stopped: Path, verb: str, word: str, message: str
 ) -> None:
     """As on the command line, and not by the nearest word, which has another meaning."""
     more = ["csv", stopped / "out"] if verb == "compile" else []
     with pytest.raises(OptionError) as refused:
         getattr(tl, verb)(stopped / "a.prg", "lathe-winder", *more, **{word: "x"})
-    assert said in str(refused.value)
+    assert message in str(refused.value)
 
 
 @pytest.mark.parametrize("verb", ["compare", "fastest"])
@@ -649,7 +651,7 @@ def test_the_fastest_is_proved_by_the_options_that_it_tells(
 
 
 def _verdict(found: Any) -> Any:
-    return found.best.found.verdict if hasattr(found, "rungs") else found.verdict
+    return found.best.found.verdict if hasattr(found, "candidates") else found.verdict
 
 
 def test_files_made_from_the_table_of_options_are_current() -> None:

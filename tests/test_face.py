@@ -98,8 +98,8 @@ def test_errors_speak_of_arguments() -> None:
         ({"interpolation": "optimal", "low": "1 m/s"}, "low='1 m/s' does not apply"),
         ({"low": "5 m/s", "high": "1 m/s"}, "Give a low= below high="),
     ]
-    for words, said in wrong:
-        with pytest.raises(OptionError, match=re.escape(said)) as caught:
+    for words, message in wrong:
+        with pytest.raises(OptionError, match=re.escape(message)) as caught:
             tl.fastest(example, "lathe-winder", level="nominal", **words)  # type: ignore[arg-type]
         assert "--" not in str(caught.value) and "--" not in repr(caught.value)
 
@@ -132,11 +132,11 @@ def test_a_recording_is_judged_by_machines_that_are_loaded(tmp_path: Path) -> No
     file.write_text('base = "lathe-winder"\nname = "own"\ntitle = "own"\n', encoding="utf-8")
     machine, heavy = tl.load_machine(file), tl.load_machine("lathe-winder+physical")
     recorded = tl.prove(job, machine, level="nominal", actual=heavy).record(tmp_path / "x.npz")
-    wanted = tl.judge(recorded.path).verdict.results
+    expected = tl.judge(recorded.path).verdict.results
     found = tl.judge([recorded.path], machine=machine, actual=heavy)
     assert found.plan.machine is machine
-    assert found.verdict.results == wanted
-    assert tl.judge(recorded.path, machine=file).verdict.results == wanted
+    assert found.verdict.results == expected
+    assert tl.judge(recorded.path, machine=file).verdict.results == expected
     with pytest.raises(OptionError, match="was recorded on another machine"):
         tl.judge(recorded.path, machine=machine, actual=machine)
 
@@ -347,7 +347,7 @@ def test_no_argument_of_a_wrong_type_ends_in_an_error_of_python(
 
 
 @pytest.mark.parametrize(
-    ("call", "said"),
+    ("call", "message"),
     [
         (LOOSE.shaper, r"shaper: missing .* 'text'\. It is shaper\(text\)"),
         (lambda: LOOSE.shaper("zv:10Hz", 1), "shaper: too many positional arguments"),
@@ -374,8 +374,8 @@ def test_no_argument_of_a_wrong_type_ends_in_an_error_of_python(
         (lambda: LOOSE.retime([[0, 0], [1, 0]], 1, 1, tolerance=10**400), "tolerance is 1000"),
     ],
 )
-def test_wrong_call_is_refused_with_the_reason(call: Callable[[], object], said: str) -> None:
-    with pytest.raises(InputError, match=said):
+def test_wrong_call_is_refused_with_the_reason(call: Callable[[], object], message: str) -> None:
+    with pytest.raises(InputError, match=message):
         call()
 
 

@@ -45,9 +45,9 @@ def test_a_run_does_what_its_proof_says_and_is_kept(job: Path, tmp_path: Path) -
             assert run.result("contour_error").measured == pytest.approx(
                 proved.result("contour_error").measured, rel=1e-9
             )
-    kept = opened(store)
-    assert kept is not None
-    assert [one.ended for one in kept.index.runs()] == ["completed", "completed"]
+    run_store = opened(store)
+    assert run_store is not None
+    assert [one.ended for one in run_store.index.runs()] == ["completed", "completed"]
 
 
 @pytest.mark.waits
@@ -76,7 +76,7 @@ def test_an_interrupt_stops_it_on_the_path(job: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("words", "message"),
     [
         ({"link": "wire"}, "wire"),
         ({"speed": -1.0}, "speed= -1 is not between 0"),
@@ -88,7 +88,7 @@ def test_an_interrupt_stops_it_on_the_path(job: Path, tmp_path: Path) -> None:
     ],
 )
 def test_wrong_run_is_refused_by_argument_and_keeps_nothing(
-    job: Path, tmp_path: Path, words: dict[str, object], said: str
+    job: Path, tmp_path: Path, words: dict[str, object], message: str
 ) -> None:
     if "job" in words:
         job.write_text(str(words["job"]))
@@ -96,7 +96,7 @@ def test_wrong_run_is_refused_by_argument_and_keeps_nothing(
     given.pop("job", None)
     with pytest.raises(InputError) as refused:
         tl.run(job, MACHINE, **given)
-    assert said in str(refused.value) and "--" not in str(refused.value)
+    assert message in str(refused.value) and "--" not in str(refused.value)
     assert not (tmp_path / "runs").exists() or not opened(tmp_path / "runs").index.runs()
 
 

@@ -98,11 +98,11 @@ def test_loads_are_where_the_trajectory_says(proof, plan):
     """This holds on the clock of the recording, dead time and previews included."""
     for axis, column in (("X", 0), ("Y", 1)):
         times, load = proof.recording.samples(f"{axis}.load")
-        wanted = plan.motion.trajectory(times)[:, column]
+        expected = plan.motion.trajectory(times)[:, column]
         # 60 um: whole counts are 3.8 um, a DAC level at rest 22 to 24 counts.
-        assert np.abs(load - wanted).max() < 60e-6
+        assert np.abs(load - expected).max() < 60e-6
         commanded = proof.recording.samples(f"{axis}.commanded")[1]
-        assert np.abs(commanded - wanted).max() > 1e-3  # it leads by the filter's time
+        assert np.abs(commanded - expected).max() > 1e-3  # it leads by the filter's time
 
 
 def test_the_needle_keeps_its_time(plan):
@@ -131,8 +131,8 @@ def test_more_current_than_there_is_is_said(seam, machine):
     job = read_job(seam, machine, needle_speed="76 stitch/s")
     plan = plan_job(job, machine, AHEAD)
     assert plan.motion.demands[1].share > 1.0
-    said = plan.motion.warnings
-    assert any("axes.Y: the reference needs" in text and "27 A" in text for text in said)
+    messages = plan.motion.warnings
+    assert any("axes.Y: the reference needs" in text and "27 A" in text for text in messages)
 
 
 def test_limits_are_checked_before_anything_is_put_out(seam, machine):
@@ -167,15 +167,15 @@ def test_pictures_are_drawn_against_the_intended(proof, plan):
     """The report's commanded trace is the plan's trajectory, not the commands of the chip."""
     traces = collect(proof)
     for column, axis in enumerate("XY"):
-        wanted = plan.motion.trajectory(traces.time_s)[:, column]
-        np.testing.assert_allclose(traces.commanded[axis], wanted, atol=1e-12)
+        expected = plan.motion.trajectory(traces.time_s)[:, column]
+        np.testing.assert_allclose(traces.commanded[axis], expected, atol=1e-12)
 
 
 def test_long_jobs_stream(plan, machine, seam, monkeypatch):
     """Nothing is kept, few rows and samples exist at once, and the commands are the same."""
-    monkeypatch.setattr(averaged, "KEPT", 0)
+    monkeypatch.setattr(averaged, "MOST_CACHED", 0)
     monkeypatch.setattr(averaged, "CHUNK", 100)
-    monkeypatch.setattr(targets, "KEPT", 0)
+    monkeypatch.setattr(targets, "MOST_CACHED", 0)
     monkeypatch.setattr(targets, "ROWS", 64)
     streamed = plan_job(read_job(seam, machine), machine, AHEAD)
     assert len(list(streamed.motion.trajectory)) > 10 > len(list(plan.motion.trajectory))
@@ -241,8 +241,8 @@ def test_every_end_of_the_tolerances_is_tried(machine, seam, monkeypatch):
     spec, job = load_spec(PLACE, machine), open_job(seam, machine, AHEAD)
     asked = Question(job=job, machine=machine, spec=spec, options=AHEAD, high=78.0)
     cells = mismatch.at_tolerance_ends(asked, lambda one: speeds(search(one, COARSE)))
-    wanted = [(m, k) for m in (0.9, 1.0, 1.1) for k in (0.8, 1.0, 1.2)]
-    np.testing.assert_allclose(seen, wanted)
+    expected = [(m, k) for m in (0.9, 1.0, 1.1) for k in (0.8, 1.0, 1.2)]
+    np.testing.assert_allclose(seen, expected)
     np.testing.assert_allclose([(c.mass, c.stiffness) for c in cells],
                                [(m, k) for m in (-1, 0, 1) for k in (-1, 0, 1)])  # fmt: skip
 

@@ -50,10 +50,10 @@ def test_the_line_the_value_and_the_remedy(text: str, tmp_path: Path) -> None:
     file.write_text(BASE + text)
     with pytest.raises(MachineError) as caught:
         load_machine(str(file))
-    said = str(caught.value)
-    assert all(words in said for words in WRONG[text]), said
-    assert "Input" not in said
-    assert "instance of" not in said
+    message = str(caught.value)
+    assert all(words in message for words in WRONG[text]), message
+    assert "Input" not in message
+    assert "instance of" not in message
 
 
 def test_every_pattern_of_the_schema_is_told_in_words() -> None:

@@ -116,20 +116,20 @@ def test_structured_text_is_the_same_program(text: str) -> None:
     assert made.isascii()
     units = read_in_parts(made)
     first, second = units
-    wanted, lines = _benign()
+    expected, lines = _benign()
     code = _without_comments(made).lower()
     code = re.sub(rf"\b{second}\b", "benign_main", re.sub(rf"\b{first}\b", "benign", code))
-    assert code == wanted
+    assert code == expected
     assert [code_of(unit).lines for unit in units.values()] == lines
 
 
 @EVERY
 def test_plcopen_is_the_same_project(text: str) -> None:
     root = ET.fromstring(plcopen_xml(_called(text)))
-    wanted = ET.fromstring(plcopen_xml(_called("benign")))
-    assert [e.tag for e in root.iter()] == [e.tag for e in wanted.iter()]
+    expected = ET.fromstring(plcopen_xml(_called("benign")))
+    assert [e.tag for e in root.iter()] == [e.tag for e in expected.iter()]
     ours, theirs = (
-        [e.text for e in tree.iterfind(f".//{{*}}ST/{XHTML}")] for tree in (root, wanted)
+        [e.text for e in tree.iterfind(f".//{{*}}ST/{XHTML}")] for tree in (root, expected)
     )
     assert len(ours) == 2
     assert ours == theirs
@@ -139,10 +139,10 @@ def test_plcopen_is_the_same_project(text: str) -> None:
 
 @EVERY
 def test_a_comment_of_a_part_program_is_none_of_its_words(text: str) -> None:
-    said = nc_comment(text)
-    assert said.isascii()
-    assert said.isprintable()
-    assert not set(said) & set("();%#")
+    message = nc_comment(text)
+    assert message.isascii()
+    assert message.isprintable()
+    assert not set(message) & set("();%#")
 
 
 @pytest.mark.linuxcnc
@@ -160,16 +160,16 @@ def test_linuxcnc_takes_no_word_of_a_comment(tmp_path: Path) -> None:
         other = replace(job, operations=Stream.of(named))
         program = "\n".join(part_program_lines(other, machine, style="linuxcnc")) + "\n"
         (tmp_path / name).write_text(program, encoding="utf-8")
-        said = interpreted(rs274, tmp_path / name)
-        assert "PROGRAM_END" in said
+        output = interpreted(rs274, tmp_path / name)
+        assert "PROGRAM_END" in output
         # The line number, the call, and the message without the text of comments.
-        calls = re.findall(r"\b([A-Z_]+\([^\"]*?\))$", said, re.M)
+        calls = re.findall(r"\b([A-Z_]+\([^\"]*?\))$", output, re.M)
         return [call for call in calls if not call.startswith(("COMMENT", "MESSAGE"))]
 
-    wanted = moves("plain.ngc", [])
-    assert len(wanted) > 5
+    expected = moves("plain.ngc", [])
+    assert len(expected) > 5
     for text in HOSTILE:
-        assert moves("hostile.ngc", [text]) == wanted
+        assert moves("hostile.ngc", [text]) == expected
 
 
 @pytest.fixture(scope="module")

@@ -14,7 +14,7 @@ import threadline
 from threadline.base.importing import import_and_call
 from threadline.live import hal_link as hal_process
 from threadline.live import sim_process
-from threadline.panel import calculation, kept_traces, owner_process
+from threadline.panel import calculation, owner_process, stored_traces
 
 _SEEN = """
 import gc
@@ -42,7 +42,7 @@ def test_a_process_begins_without_looking_for_garbage() -> None:
 
 
 @pytest.mark.parametrize(
-    "starts", [hal_process, sim_process, calculation, kept_traces, owner_process]
+    "starts", [hal_process, sim_process, calculation, stored_traces, owner_process]
 )
 def test_the_processes_of_runs_and_of_the_panel_begin_so(starts: ModuleType) -> None:
     assert starts.CHILD.startswith("from threadline.base.importing import imported; ")

@@ -69,10 +69,10 @@ def test_twenty_runs_side_by_side_are_twenty_runs_one_after_the_other() -> None:
         )
         phase = random.uniform(0.0, 1.0, len(plan.axes))
         days.append(simulate(tick_table(plan.commands), machine, encoder_phase=phase))
-    alone = judge(days, plan, spec)
-    assert proof.verdict.runs == alone.runs == 20
-    assert proof.verdict.level == alone.level == "repeated"
-    for mine, theirs in zip(proof.verdict.results, alone.results, strict=True):
+    single = judge(days, plan, spec)
+    assert proof.verdict.runs == single.runs == 20
+    assert proof.verdict.level == single.level == "repeated"
+    for mine, theirs in zip(proof.verdict.results, single.results, strict=True):
         assert (mine.name, mine.axis, mine.status) == (theirs.name, theirs.axis, theirs.status)
         # Lengths in m, currents in A: the effect of other time steps of the matrix exponential.
         assert mine.measured == pytest.approx(theirs.measured, rel=1e-9, abs=1e-12)
@@ -126,15 +126,15 @@ def test_the_worst_machine_counts_in_twenty_runs_as_it_is_proved_alone() -> None
     over, tolerances = proof.verdict, proof.verdict.tolerances
     assert (over.level, over.runs, over.machines) == ("over tolerances", 20, 12)
     assert tolerances is not None and proof.worst is not None
-    alone = prove_plan(
+    single = prove_plan(
         plan, spec, trials=REPEATED, actual=variant(plan.machine, proof.worst.parts)
     ).verdict
-    assert alone.tightest is not None and over.tightest is not None
-    assert tolerances.share == alone.tightest.measured / alone.tightest.limit
-    assert tolerances.criterion == alone.tightest.name == "contour_error"
-    assert over.tightest.measured == alone.tightest.measured > repeated.tightest.measured
+    assert single.tightest is not None and over.tightest is not None
+    assert tolerances.share == single.tightest.measured / single.tightest.limit
+    assert tolerances.criterion == single.tightest.name == "contour_error"
+    assert over.tightest.measured == single.tightest.measured > repeated.tightest.measured
     spread = over.result("repeatability").measured
-    assert spread == max(v.result("repeatability").measured for v in (repeated, alone))
+    assert spread == max(v.result("repeatability").measured for v in (repeated, single))
     # The worst run is kept, so that a report can draw it.
     worst = over.result("contour_error")
     assert worst.run is not None and worst.run > 20 and worst.note.endswith("machine searched")
@@ -158,9 +158,11 @@ def test_the_worst_of_other_machines_has_the_line_of_its_own_proof() -> None:
     results = with_lines(with_other_machines(nominal, found).results, plan)
     others = [r for r in results if r.note.endswith("a machine within the tolerances")]
     assert {"contour_error", "progress_error", "tracking_error"} <= {r.name for r in others}
-    alone = [prove_plan(plan, spec, actual=variant(plan.machine, one)).verdict for one in parts[:7]]
+    one_by_one = [
+        prove_plan(plan, spec, actual=variant(plan.machine, one)).verdict for one in parts[:7]
+    ]
     for result in others:
-        same = [one.result(result.name, result.axis) for one in alone]
+        same = [one.result(result.name, result.axis) for one in one_by_one]
         worst = max(same, key=lambda r: -1.0 if r.measured is None else r.measured)
         assert result.measured == pytest.approx(worst.measured, rel=1e-9)
         assert (result.time_s, result.job_line) == (worst.time_s, worst.job_line)
@@ -294,7 +296,7 @@ def test_the_file_of_the_worst_machine_gives_its_figure_to_the_bit(
     monkeypatch.chdir(tmp_path)
     Path("exact.toml").write_text(f'base = "{base}"\n[drives.x]\n{exact}\n[drives.y]\n{exact}\n')
     monkeypatch.setattr(worst_search, "SEARCHED", 60)
-    monkeypatch.setattr(worst_search, "SEARCHED_ALONE", 10)
+    monkeypatch.setattr(worst_search, "SEARCHED_SERIAL", 10)
     file = tmp_path / "deep" / "worst.toml"
     words = ["prove", str(EXAMPLES / job), "-m", machine]
     with pytest.raises(SystemExit) as ended:
@@ -305,10 +307,10 @@ def test_the_file_of_the_worst_machine_gives_its_figure_to_the_bit(
     assert again[0] == "threadline" and again[-2:] == ["--actual", str(file)]
     with pytest.raises(SystemExit):
         main([*again[1:], "--json"])
-    alone = json.loads(capsys.readouterr().out)
-    assert alone["level"] == "repeated"
-    assert alone["tightest"]["share_of_limit"] == over["tolerances"]["worst_share"]
-    assert alone["tightest"]["name"] == over["tolerances"]["worst_criterion"]
+    single = json.loads(capsys.readouterr().out)
+    assert single["level"] == "repeated"
+    assert single["tightest"]["share_of_limit"] == over["tolerances"]["worst_share"]
+    assert single["tightest"]["name"] == over["tolerances"]["worst_criterion"]
 
 
 def test_a_report_in_python_has_the_worst_machine_as_on_the_command_line(
@@ -316,7 +318,7 @@ def test_a_report_in_python_has_the_worst_machine_as_on_the_command_line(
 ) -> None:
     """The same bytes by both doors; but no report replaces the machine file of its own proof."""
     monkeypatch.setattr(worst_search, "SEARCHED", 12)
-    monkeypatch.setattr(worst_search, "SEARCHED_ALONE", 10)
+    monkeypatch.setattr(worst_search, "SEARCHED_SERIAL", 10)
     monkeypatch.chdir(tmp_path)
     job = tmp_path / "turn.prg"
     job.write_text("G91\nG1 X2 F1000\nM30\n", encoding="utf-8")
@@ -363,14 +365,14 @@ def test_the_default_is_repeated_and_levels_exclude_each_other(
     with pytest.raises(OptionError, match="unknown level 'sure'"):
         tl.prove(EXAMPLES / "x-180.prg", "lathe-winder", level="sure")
     job = [str(EXAMPLES / "x-180.prg"), "-m", "lathe-winder"]
-    for words, said in (
+    for words, message in (
         ([], "repeated: 20 runs"),
         (["--nominal"], "nominal: 1 run"),
         (["--repeats", "3"], "nominal: 3 runs"),
     ):
         with pytest.raises(SystemExit):
             main(["prove", *job, *words])
-        assert said in capsys.readouterr().out.splitlines()[-1]
+        assert message in capsys.readouterr().out.splitlines()[-1]
     with pytest.raises(SystemExit) as ended:
         main(["prove", *job, "--nominal", "--tolerances"])
     assert ended.value.code == 2

@@ -99,7 +99,7 @@ def test_a_machine_file_of_limits_alone_is_read(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "line", "said"),
+    ("old", "new", "line", "message"),
     [
         ('drive = "x"\n', 'drive = "x"\nload = { x = "1 exact, assumed" }\n', 28, "axes.X.load"),
         ('drive = "x"\n', 'drive = "x"\nframe = { x = "1 exact, assumed" }\n', 28, "axes.X.frame"),
@@ -118,11 +118,11 @@ def test_a_machine_file_of_limits_alone_is_read(tmp_path: Path) -> None:
     ],
 )  # fmt: skip
 def test_dynamics_are_refused_in_a_machine_of_limits_alone(
-    tmp_path: Path, old: str, new: str, line: int, said: str
+    tmp_path: Path, old: str, new: str, line: int, message: str
 ) -> None:
     """One line: the key, the reason, the file and its line, the remedy."""
     error = broken(tmp_path, old, new)
-    assert said in str(error) and "\n" not in str(error)
+    assert message in str(error) and "\n" not in str(error)
     assert error.place is not None and error.place.line == line
 
 
@@ -130,8 +130,8 @@ def test_a_machine_with_motors_still_needs_bodies(tmp_path: Path) -> None:
     error = broken(tmp_path, 'kind = "kinematic"\nclock = "pulse"\n[axes.A]',
                    'kind = "pulse-servo"\nclock = "pulse"\n[axes.A]')  # fmt: skip
     assert "'drives.a.body'" in str(error)
-    told = re.sub(r'\[drives\.\w\]\nkind = "kinematic"\nclock = "pulse"\n', "", MACHINE)
-    file, _ = files(tmp_path, "", told.replace("[clocks]", "[not_clocks]"))
+    text = re.sub(r'\[drives\.\w\]\nkind = "kinematic"\nclock = "pulse"\n', "", MACHINE)
+    file, _ = files(tmp_path, "", text.replace("[clocks]", "[not_clocks]"))
     with pytest.raises(MachineError):
         load_machine(file)
 
@@ -258,9 +258,9 @@ def test_json_exit_and_report_say_the_level(
     file, job = files(tmp_path, "G1 X50 F3000\nG1 A90 X0")
     report = tmp_path / "report"
     code, out, _ = run(capsys, "prove", job, "-m", file, "--json", "--report", report)
-    said = json.loads(out)
-    assert code == 0 and said["passed"] is True
-    assert said["level"] == "limits and time alone" and said["runs"] == 1
+    answer = json.loads(out)
+    assert code == 0 and answer["passed"] is True
+    assert answer["level"] == "limits and time alone" and answer["runs"] == 1
     page = (report / "report.html").read_text()
     assert "limits and time alone: placement is not proven" in page
     assert ">IN SPEC<" not in page and "actual" not in page.split("<svg")[0].lower()
@@ -269,7 +269,7 @@ def test_json_exit_and_report_say_the_level(
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("words", "message"),
     [
         (["prove", "JOB", "-m", "M", "--tolerances"], "has no dynamics"),
         (["prove", "JOB", "-m", "M", "--yield", "99 %"], "has no dynamics"),
@@ -285,12 +285,12 @@ def test_json_exit_and_report_say_the_level(
     ],
 )  # fmt: skip
 def test_command_that_needs_dynamics_is_refused_in_one_line(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], words: list[str], said: str
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], words: list[str], message: str
 ) -> None:
     file, job = files(tmp_path, "G1 X10 F600")
     given = [{"JOB": str(job), "M": str(file)}.get(word, word) for word in words]
     code, out, err = run(capsys, *given)
-    assert code == 2 and not out and said in err
+    assert code == 2 and not out and message in err
     assert len(err.strip().splitlines()) == 1
 
 
@@ -377,8 +377,8 @@ def test_a_proof_of_limits_alone_is_not_verified_as_in_spec(
     capsys.readouterr()
     with pytest.raises(SystemExit) as ended:
         main(["verify", str(proof)])
-    said = capsys.readouterr().out
-    assert ended.value.code == 0 and "limits kept" in said and "in spec" not in said
+    output = capsys.readouterr().out
+    assert ended.value.code == 0 and "limits kept" in output and "in spec" not in output
 
 
 @pytest.mark.long(shown_by="test_the_fastest_optimal_plan_is_that_of_the_limits")
@@ -388,17 +388,17 @@ def test_no_lower_acceleration_is_tried_where_none_can_win(tmp_path: Path) -> No
     machine, job = files(tmp_path, "G1 X20 A90 F1000\nG1 X0\nG1 X30")
     words = {"interpolation": "auto", "level": "nominal"}
     found = tl.fastest(job, machine, **words)  # type: ignore[arg-type]
-    assert [rung.share for rung in found.of.rungs] == [1.0]
+    assert [candidate.share for candidate in found.of.candidates] == [1.0]
     (tmp_path / "tight.toml").write_text(
         'name = "gently"\n[[criteria]]\nname = "acceleration"\naxis = "X"\nlimit = "200 mm/s^2"\n'
     )
     gently = tl.fastest(job, machine, spec=tmp_path / "tight.toml", **words)  # type: ignore[arg-type]
-    assert len(gently.of.rungs) > 1
+    assert len(gently.of.candidates) > 1
     (tmp_path / "loose.toml").write_text(
         'name = "any"\n[[criteria]]\nname = "acceleration"\naxis = "X"\nlimit = "1e9 mm/s^2"\n'
     )
     whole = tl.fastest(job, machine, spec=tmp_path / "loose.toml", **words)  # type: ignore[arg-type]
-    assert whole.best == found.best and len(whole.of.rungs) > 1
+    assert whole.best == found.best and len(whole.of.candidates) > 1
     assert whole.of.best.duration_s == found.of.best.duration_s
 
 
@@ -434,8 +434,8 @@ def test_dwells_limit_a_job_that_waits(
     machine, job = files(tmp_path, f"G1 X2 F6000\nG4 P{dwell_s:g}\nG1 X0\nG4 P{dwell_s:g}")
     code, out, err = run(capsys, "fastest", job, "-m", machine, "--interpolation", "firmware")
     assert code == 0 and re.search(f"limited by {limit}", out)
-    told = f"this G4 waits {dwell_s:g} s (1 more line waits as long): grbl takes P as seconds"
-    assert (told in err and "write P0.15." in err) == (dwell_s > 20.0)
+    text = f"this G4 waits {dwell_s:g} s (1 more line waits as long): grbl takes P as seconds"
+    assert (text in err and "write P0.15." in err) == (dwell_s > 20.0)
     code, out, _ = run(capsys, "prove", job, "-m", machine, "--interpolation", "firmware")
     assert f"; {2.0 * dwell_s:g} s of both are dwells" in out
 

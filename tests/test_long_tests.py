@@ -22,8 +22,8 @@ SUITE = (
 
 def test_each_long_test_has_a_shorter_one(request: pytest.FixtureRequest) -> None:
     """Only if the whole suite is collected: a part of it lacks some of the named tests."""
-    alone = request.config.stash[UNSHOWN]
-    assert not alone, "\n".join(alone)
+    one_by_one = request.config.stash[UNSHOWN]
+    assert not one_by_one, "\n".join(one_by_one)
 
 
 @pytest.mark.long(only="workers")

@@ -64,8 +64,8 @@ def run(*words: str) -> tuple[object, str]:
 
 def proved(shop: Path, *more: str, job: str = "x-180.prg", machine: str = "mine.toml+slow") -> Path:
     file = shop / "x.proof.json"
-    status, said = run("prove", job, "-m", machine, "--proof", str(file), "--json", *more)
-    assert status in {0, 1}, said
+    status, output = run("prove", job, "-m", machine, "--proof", str(file), "--json", *more)
+    assert status in {0, 1}, output
     return file
 
 
@@ -102,12 +102,12 @@ def test_a_proof_of_a_machine_without_loops_reads_back_what_it_wrote(shop: Path)
     """The contour limit of ``optimal`` bounds the following error of loops: a stepper has none."""
     (shop / "line.gcode").write_text("G21 G90 G94\nG1 X20 A90 F2000\nX40 A0\nM30\n")
     words = ("prove", "line.gcode", "-m", "stepper-winder", "--interpolation", "optimal", "--json")
-    status, said = run(*words, "--proof", "x.proof.json", "--recording", "x.npz")
-    assert status in {0, 1}, said
+    status, output = run(*words, "--proof", "x.proof.json", "--recording", "x.npz")
+    assert status in {0, 1}, output
     assert "contour" not in json.loads(Path("x.proof.json").read_text())["options"]["given"]
     assert run("verify", "x.proof.json")[0] == 0
-    judged, said = run("judge", "x.npz", "--json")
-    assert judged == status, said
+    judged, output = run("judge", "x.npz", "--json")
+    assert judged == status, output
 
 
 def test_two_feeds_of_one_job_differ(shop: Path) -> None:
@@ -153,17 +153,17 @@ def test_verify_names_what_changed(shop: Path, what: str) -> None:
     mine = shop / "mine.toml"
     mine.write_text("# a comment\n" + mine.read_text())
     assert verify_proof(file) == ()
-    status, said = run("verify", str(file))
-    assert (status, said) == (0 if read_proof(file).passed else 1, "")
+    status, output = run("verify", str(file))
+    assert (status, output) == (0 if read_proof(file).passed else 1, "")
     change, message = CHANGES[what]
     change(shop)
-    status, said = run("verify", str(file))
+    status, output = run("verify", str(file))
     assert status == 2
-    assert "\n" not in said
-    assert said.startswith(
+    assert "\n" not in output
+    assert output.startswith(
         "error: [PROOF] x.proof.json: the proof does not match its files any more: "
     )
-    assert re.search(message, said)
+    assert re.search(message, output)
 
 
 def test_a_proof_is_verified_from_any_folder(
@@ -286,10 +286,10 @@ def test_a_proof_of_another_form_is_refused_in_one_line(shop: Path) -> None:
         if value is not ...:
             part[last] = value
         write_again(content, file)
-        status, said = run("verify", str(file))
-        assert status == 2, (entry, said)
-        assert f"'{entry}" in said, (entry, said)
-        assert "\n" not in said
+        status, output = run("verify", str(file))
+        assert status == 2, (entry, output)
+        assert f"'{entry}" in output, (entry, output)
+        assert "\n" not in output
 
 
 def test_a_changed_verdict_is_noticed(shop: Path) -> None:
@@ -299,9 +299,9 @@ def test_a_changed_verdict_is_noticed(shop: Path) -> None:
     file.write_text(json.dumps(content))
     with pytest.raises(ProofError, match="was changed since it was written"):
         verify_proof(file)
-    status, said = run("verify", str(file))
+    status, output = run("verify", str(file))
     assert status == 2
-    assert "\n" not in said
+    assert "\n" not in output
 
 
 def first(content: dict[str, Any], status: str) -> dict[str, Any]:
@@ -517,7 +517,7 @@ def test_a_proof_that_contradicts_itself_is_refused_by_verify_and_run(shop: Path
     file = shop / "x.proof.json"
     assert run("prove", *how, "--nominal", "--proof", str(file))[0] == 1
     proof = file.read_text("utf-8")
-    for name, (change, said) in FORGED.items():
+    for name, (change, message) in FORGED.items():
         content = json.loads(proof)
         change(content)
         write_again(content, file)
@@ -525,7 +525,7 @@ def test_a_proof_that_contradicts_itself_is_refused_by_verify_and_run(shop: Path
             status, output = run(*command)
             assert (status, output.count("\n")) == (2, 0), (name, output)
             assert "[PROOF] x.proof.json: it contradicts itself: " in output, (name, output)
-            assert said in output, (name, output)
+            assert message in output, (name, output)
     assert not (shop / "runs").exists()
 
 
@@ -605,24 +605,24 @@ def test_signature_is_checked_with_the_key(shop: Path) -> None:
     over = ["--override", "why"] if passed else []
     assert run("run", *how, "--key", "ours.key", *over)[0] in {0, 1}
     assert list(shop.glob("runs/*/inputs/*")) and not list(shop.glob("runs/*/*/ours.key"))
-    status, said = run("verify", str(file), "--key", "theirs.key")
-    assert (status, "its signature is not by this key" in said) == (2, True)
+    status, output = run("verify", str(file), "--key", "theirs.key")
+    assert (status, "its signature is not by this key" in output) == (2, True)
     # Possible figures, but not the signed ones.
     criterion = next(c for c in content["verdict"]["criteria"] if c["measured"])
     criterion["measured"] *= 0.999
     write_again(content, file)
     assert run("verify", str(file)) == (passed, "")
     for command in (("verify", str(file)), ("run", *how)):
-        status, said = run(*command, "--key", "ours.key")
-        assert (status, "it was changed since it was signed" in said) == (2, True), said
+        status, output = run(*command, "--key", "ours.key")
+        assert (status, "it was changed since it was signed" in output) == (2, True), output
     del content["signature"]
     write_again(content, file)
-    status, said = run("verify", str(file), "--key", "ours.key")
-    assert (status, "it is not signed" in said) == (2, True)
+    status, output = run("verify", str(file), "--key", "ours.key")
+    assert (status, "it is not signed" in output) == (2, True)
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("words", "message"),
     [
         (("prove", "x-180.prg", "-m", "mine.toml", "--sign", "ours.key"), "--sign signs or checks"),
         (("run", "x-180.prg", "-m", "mine.toml", "--key", "ours.key"), "--key signs or checks"),
@@ -631,9 +631,9 @@ def test_signature_is_checked_with_the_key(shop: Path) -> None:
     ],
 )
 def test_a_key_that_cannot_be_used_is_one_line(
-    shop: Path, words: tuple[str, ...], said: str
+    shop: Path, words: tuple[str, ...], message: str
 ) -> None:
     (shop / "ours.key").write_text("0123456789abcdef")
     (shop / "short.key").write_text("abc\n")
     status, output = run(*words)
-    assert (status, output.count("\n"), said in output) == (2, 0, True), output
+    assert (status, output.count("\n"), message in output) == (2, 0, True), output

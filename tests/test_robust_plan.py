@@ -101,7 +101,7 @@ def swung(folder: Path, speed: int, swing: str = "") -> tuple[Plan, float]:
     loads = plan.motion.of_loads
     assert loads is not None
     time_s = np.arange(0.0, loads.duration_s, 2.5e-4)
-    velocity = TrajectoryReader(loads).ladder(time_s, 2)[:, 1]
+    velocity = TrajectoryReader(loads).derivatives(time_s, 2)[:, 1]
     return plan, float(-velocity[:, 1].min() / (speed * 2.54e-3))
 
 

@@ -53,8 +53,8 @@ def driven(plan: Plan) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     per_rad = 4000 / (2 * np.pi)
     angle, speed, before, error_before = commanded[0] / per_rad, 0.0, 0.0, 0.0
     places, levels = [], []
-    for wanted in commanded:
-        error = wanted - np.floor(angle * per_rad + 0.5)
+    for expected in commanded:
+        error = expected - np.floor(angle * per_rad + 0.5)
         level = float(np.rint(2 * error + 4 * (error - error_before))) * level_v
         error_before = error
         level = 0.0 if level * before < 0.0 else level
@@ -128,8 +128,8 @@ def test_short_moves_and_rests_at_the_end(tmp_path: Path, body: str, ends_late: 
     assert (plan.duration_s >= end_s + 0.3 - 1e-9) == ends_late
     assert off_m(plan) < 3.3e-4
     _, places, _ = driven(plan)
-    wanted = plan.motion.trajectory(plan.motion.trajectory.duration_s)[0]
-    assert abs(places[-1] - wanted[plan.motion.axes.index("X")]) < STANDS_M
+    expected = plan.motion.trajectory(plan.motion.trajectory.duration_s)[0]
+    assert abs(places[-1] - expected[plan.motion.axes.index("X")]) < STANDS_M
 
 
 def test_contour_option_is_recorded_and_read_back(examples: Path) -> None:

@@ -35,7 +35,7 @@ STATUS: dict[str, int] = {}
 
 
 @pytest.mark.parametrize(
-    ("failing", "seconds", "ways"),
+    ("failing", "seconds", "moves"),
     [
         ({}, None, ["highs-ds"]),
         ({"highs-ds": 4}, None, ["highs-ds", "highs"]),
@@ -48,12 +48,12 @@ def test_another_way_is_asked_where_one_has_no_answer(
     monkeypatch: pytest.MonkeyPatch,
     failing: dict[str, int],
     seconds: float | None,
-    ways: list[str],
+    moves: list[str],
 ) -> None:
     for method, status in failing.items():
         monkeypatch.setitem(STATUS, method, status)
     found = solved(COST, below=BELOW, bounds=(0.0, None), seconds=seconds)
-    assert asked == [(way, way != "highs-ds") for way in ways]
+    assert asked == [(way, way != "highs-ds") for way in moves]
     assert found.x == pytest.approx([3.0, 0.0])
 
 

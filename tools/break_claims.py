@@ -76,7 +76,7 @@ GENERATIONS = 40  # of a climb at most
 BROKEN = 10.0  # share of a limit of 0 that was not kept
 MEAN_OF = 1200  # days
 SPREAD, MEAN, AWAY = "repeatability", "mean of days", "distance from the mean of days"
-TOLD_S = 60.0  # of processor time between two lines about candidates without news
+REPORT_PERIOD_S = 60.0  # of processor time between two lines about candidates without news
 
 MOST_OF_A_GRID = 2  # numbers
 GRID_AT_ONCE = BESIDE * CANDIDATES
@@ -307,7 +307,7 @@ class Claim:
         self.box = self.runs.box
         self.tried, self.worst, self.at = 0, 0.0, np.zeros(self.box.size)
         self.criterion = ""
-        self._begun_s = self._told_s = time.process_time()
+        self._begun_s = self._reported_s = time.process_time()
 
     def shares(self, places: FloatArray) -> FloatArray:
         """Return the (k,) used shares of (k, size) places; print what is worse than all before."""
@@ -317,13 +317,13 @@ class Claim:
         if shares[best] > self.worst * (1.0 + 1e-4):
             self.worst, self.at, self.criterion = float(shares[best]), places[best], names[best]
             self._tell()
-        elif time.process_time() - self._told_s > TOLD_S:
+        elif time.process_time() - self._reported_s > REPORT_PERIOD_S:
             self._tell()
         return shares
 
     def _tell(self) -> None:
-        self._told_s = time.process_time()
-        spent_s, share = self._told_s - self._begun_s, 100.0 * self.worst
+        self._reported_s = time.process_time()
+        spent_s, share = self._reported_s - self._begun_s, 100.0 * self.worst
         print(f"    {self.tried}, {spent_s:.0f} s: {share:.2f} % of {self.criterion}", flush=True)
 
     def answer(self) -> dict[str, object]:

@@ -490,9 +490,9 @@ NAMES: dict[str, Callable[..., Any]] = {
 }  # fmt: skip
 
 
-def answers(name: str, *told: str) -> Any:
+def answers(name: str, *text: str) -> Any:
     """Return the answer of a NAME."""
-    return NAMES[name](*told)
+    return NAMES[name](*text)
 
 
 if __name__ == "__main__":

@@ -14,7 +14,7 @@ import numpy as np
 from tests.verdict.interpreter import Facts
 from tools.fuzz_recordings import MAKERS
 from tools.fuzz_runs import Seed, plan_measured_once, seed_of
-from tools.fuzz_same_programs import Key, Told, same_verdicts
+from tools.fuzz_same_programs import Key, Outcomes, same_verdicts
 from tools.fuzz_same_recordings import (
     Kept,
     Samples,
@@ -58,15 +58,15 @@ class Base:
 
     Attributes
     ----------
-    told
+    outcomes
         The verdict of the proof.
     judged
         The verdict on the recording, as one of a machine.
     """
 
     kept: Kept
-    told: Told
-    judged: Told
+    outcomes: Outcomes
+    judged: Outcomes
 
 
 def bases_of(proof: Proved, rng: random.Random, file: Path) -> dict[str, Base]:
@@ -78,19 +78,19 @@ def bases_of(proof: Proved, rng: random.Random, file: Path) -> dict[str, Base]:
     seed = seed_of(proof.of, file, Options(), facts)
     channels = MAKERS["judge-axes"](rng, seed)
     faulty = {name: one.chunks[0][1] for name, one in channels.items()}
-    told = told_of(proof.verdict)
-    return {name: _base(seed, samples, told)
+    outcome = outcomes_of(proof.verdict)
+    return {name: _base(seed, samples, outcome)
             for name, samples in (("sound", seed.samples), ("faulty", faulty))}  # fmt: skip
 
 
-def _base(seed: Seed, samples: Samples, told: Told) -> Base:
+def _base(seed: Seed, samples: Samples, outcome: Outcomes) -> Base:
     recording = recording_of(seed, samples)
     measured = values_of(seed, recording, seed.proof.spec)
     judged = judge([recording], seed.proof.plan, seed.proof.spec)
-    return Base(Kept(seed, samples, measured, SIDE), told, told_of(judged))
+    return Base(Kept(seed, samples, measured, SIDE), outcome, outcomes_of(judged))
 
 
-def told_of(verdict: Verdict) -> Told:
+def outcomes_of(verdict: Verdict) -> Outcomes:
     """Return value, status and limit of each criterion."""
     return {
         (r.name, r.axis, r.step): (r.measured, r.status.value, r.limit) for r in verdict.results
@@ -167,7 +167,7 @@ def _file(rng: random.Random, base: Base, written: Written | None) -> int:
     if written is None:
         return _held(rng, base, read_recording(file), f"in {file.name}")
     seed.file.write_bytes(written.data)
-    same_verdicts(base.judged, told_of(tl.judge(file).verdict), f"in {file.name}")
+    same_verdicts(base.judged, outcomes_of(tl.judge(file).verdict), f"in {file.name}")
     return 1
 
 
@@ -215,9 +215,9 @@ def _below(rng: random.Random, base: Base, _: Written | None) -> int:
     chosen = rng.choice(keys)
     verdict = _limited(base, {key: 0.999 if key == chosen else 1.001 for key in keys})
     failed = [(r.name, r.axis, r.step) for r in verdict.results if r.status is Status.FAILED]
-    told = f"{failed} failed, and the limit of {chosen} was below {base.kept.measured[chosen]}"
-    assert failed == [chosen], told
-    assert not verdict.passed, told
+    line = f"{failed} failed, and the limit of {chosen} was below {base.kept.measured[chosen]}"
+    assert failed == [chosen], line
+    assert not verdict.passed, line
     return 1
 
 
@@ -244,7 +244,7 @@ def _of_machine(rng: random.Random, base: Base, _: Written | None) -> int:
         (name, axis)
         for name, axis, step in measured
         if name in (*_AXIS_LIMITS, _STEP_RATE)
-        and base.told[name, axis, step][2] is not None
+        and base.outcomes[name, axis, step][2] is not None
         and measured[name, axis, step] > 1e-9
     ]
     name, axis = rng.choice(limited)

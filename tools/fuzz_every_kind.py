@@ -53,7 +53,7 @@ from tools.fuzz_changed_runs import (
     bases_of,
 )
 from tools.fuzz_read_works import hold_machines, hold_read, numbers_of, read
-from tools.fuzz_same_programs import Told, same_verdicts, told_verdict
+from tools.fuzz_same_programs import Outcomes, outcomes_of_proof, same_verdicts
 from tools.fuzz_works import Change, Kind, Programs, Work, Written
 from tools.fuzz_works_of_others import Embroiderer, Placer, Stitcher
 
@@ -158,7 +158,7 @@ def proved(written: Written) -> Proved:
     return tl.prove(file, machine, level="nominal", **written.words)
 
 
-def _by_a_process(written: Written) -> Told:
+def _by_a_process(written: Written) -> Outcomes:
     """Prove a job in one run, by a process of the command line."""
     file, _, reference = _placed(written)
     words = [text for key, value in written.words.items() for text in (f"--{key}", str(value))]
@@ -179,11 +179,11 @@ def _by_a_process(written: Written) -> Told:
     }  # fmt: skip
 
 
-def _finite(told: Told) -> Told:
+def _finite(values: Outcomes) -> Outcomes:
     """Return a verdict as JSON has it: no number for what is not finite."""
     return {
         key: (None if value is None or abs(value) == float("inf") else value, status, limit)
-        for key, (value, status, limit) in told.items()
+        for key, (value, status, limit) in values.items()
     }
 
 
@@ -191,7 +191,7 @@ class Known:
     """What is known of a job before it is changed; what only some changes need, when they do."""
 
     def __init__(self, kind: Kind, work: Work, bases: Mapping[str, Base]) -> None:
-        self.written, self.told = kind.plain(work), bases["sound"].told
+        self.written, self.outcomes = kind.plain(work), bases["sound"].outcomes
         self.kind, self.work, self.bases = kind, work, bases
         self._read: dict[tuple[bool, bool], dict[str, np.ndarray]] = {}
 
@@ -228,11 +228,11 @@ class Known:
                 hold_read(before, read(file, machine, written), said)
             return
         process = door == "process"
-        known = _finite(self.told) if process else self.told
-        after = _by_a_process(written) if process else told_verdict(proved(written).of)
+        known = _finite(self.outcomes) if process else self.outcomes
+        after = _by_a_process(written) if process else outcomes_of_proof(proved(written).of)
         names = written.names
-        own = {(n, names.get(axis, axis), names.get(step, step)): told
-               for (n, axis, step), told in after.items()}  # fmt: skip
+        own = {(n, names.get(axis, axis), names.get(step, step)): value
+               for (n, axis, step), value in after.items()}  # fmt: skip
         try:
             same_verdicts(known, own, said, False, written.free)
         except AssertionError:
@@ -317,8 +317,8 @@ def _run_kind(tally: Tally, kind: Kind, shares: tuple[int, int], only: str) -> N
             tally.cases[cell] += count
             tally.doors[f"{cell}|{door}"] += count
             if problem:
-                told = f"--seed {tally.seed} --round {tally.round} --kind {kind.name}"
-                tally.failures.append(f'{told} --change "{name}" ({k}, {door})\n{problem}')
+                command = f"--seed {tally.seed} --round {tally.round} --kind {kind.name}"
+                tally.failures.append(f'{command} --change "{name}" ({k}, {door})\n{problem}')
             k += count
         tally.spent_s[cell] = round(_processor_s() - began, 4)
 

@@ -24,7 +24,7 @@ from pathlib import Path
 from tools.fuzz_read_works import hold_machines, numbers_of
 from tools.fuzz_rewritten import in_another_order, in_other_units
 from tools.fuzz_runs import seeds
-from tools.fuzz_same_programs import WHOLE, check_program, loaded, same_verdicts, told_verdict
+from tools.fuzz_same_programs import WHOLE, check_program, loaded, outcomes_of_proof, same_verdicts
 from tools.fuzz_same_recordings import check_recording, pool, recording_of
 from tools.fuzz_same_windings import check_winding
 
@@ -61,7 +61,7 @@ def check_machine(path: Path) -> None:
     hold_machines(numbers_of(machine), numbers_of(other))
     if rng.randrange(2 * WHOLE) == 0:
         proof = prove(seed.file, other, load_spec(None, other), seed.options)
-        same_verdicts(told_verdict(seed.proof), told_verdict(proof), text)
+        same_verdicts(outcomes_of_proof(seed.proof), outcomes_of_proof(proof), text)
 
 
 def _check_limit(rng: random.Random) -> None:

@@ -69,12 +69,12 @@ _SEARCHED = 5e-4
 near the least time, and rounding decides where it cuts the path."""
 
 Key = tuple[str, str, str]
-Told = Mapping[Key, tuple[float | None, str, float | None]]
+Outcomes = Mapping[Key, tuple[float | None, str, float | None]]
 
 # --- verdicts ---
 
 
-def told_verdict(proof: Proof) -> Told:
+def outcomes_of_proof(proof: Proof) -> Outcomes:
     return {
         (r.name, r.axis, r.step): (r.measured, r.status.value, r.limit)
         for r in proof.verdict.results
@@ -82,7 +82,7 @@ def told_verdict(proof: Proof) -> Told:
 
 
 def same_verdicts(
-    before: Told, after: Told, said: str, moved: bool = False, free: tuple[str, ...] = ()
+    before: Outcomes, after: Outcomes, said: str, moved: bool = False, free: tuple[str, ...] = ()
 ) -> None:
     """Refuse verdicts that differ, but for the values of the criteria ``free``.
 
@@ -141,10 +141,10 @@ class Twin:
         found["time"] = np.cumsum(np.concatenate([b.nominal_s + b.dwell_s for b in blocks]))
         return found
 
-    def verdict(self, options: Options) -> tuple[Told, float]:
+    def verdict(self, options: Options) -> tuple[Outcomes, float]:
         """Return the verdict on it, with the axes of before, and its time, s."""
         proof = prove(self.file, self.machine, load_spec(None, self.machine), options)
-        results = told_verdict(proof)
+        results = outcomes_of_proof(proof)
         own = {
             (name, self.names.get(axis, ""), step): v for (name, axis, step), v in results.items()
         }

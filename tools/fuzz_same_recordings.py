@@ -194,7 +194,7 @@ def noisy(rng: random.Random, kept: Kept) -> dict[str, np.ndarray]:
     return found
 
 
-def told_otherwise(rng: random.Random, recording: Recording) -> Recording:
+def with_other_channel_names(rng: random.Random, recording: Recording) -> Recording:
     """Return a recording with its channels in another order and by other names."""
     order = list(recording.channels)
     rng.shuffle(order)
@@ -286,7 +286,7 @@ def check_recording(path: Path) -> None:
     if twice:
         recording = at_twice_the_rate(recording)
     if not whole and rng.random() < 0.5:
-        recording = told_otherwise(rng, recording)
+        recording = with_other_channel_names(rng, recording)
     hold_against(kept, recording, (spec, must), twice, f"twice the rate: {twice}, file: {whole}")
 
 

@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 from tools.fuzz_runs import short_vessel
-from tools.fuzz_same_programs import Told, same_verdicts, told_verdict
+from tools.fuzz_same_programs import Outcomes, outcomes_of_proof, same_verdicts
 
 from threadline.machine import Machine, load_machine
 from threadline.machine.quantity import Provenance, Quantity
@@ -87,7 +87,7 @@ class Winding:
         ]
         return "\n".join([*filter(None, lines), "M30", ""])
 
-    def told(self, file: Path, *, whole: bool) -> Told:
+    def outcomes(self, file: Path, *, whole: bool) -> Outcomes:
         """Return what its planned motion lays, or the whole verdict."""
         file.write_text(self.text)
         options = Options(product=json.dumps(self.product), interpolation="linear")
@@ -100,9 +100,9 @@ class Winding:
         spec = with_product(load_spec(None, self.machine), self.machine, options)
         of_fibre = tuple(c for c in spec.criteria if c.name in (*MEASURED, *PLANNED))
         spec = replace(spec, criteria=of_fibre)
-        told = told_verdict(prove(file, self.machine, spec, options))
+        verdict = outcomes_of_proof(prove(file, self.machine, spec, options))
         own = dict(zip(self.names, _AXES, strict=True))
-        return {(name, own.get(axis, ""), step): v for (name, axis, step), v in told.items()}
+        return {(name, own.get(axis, ""), step): v for (name, axis, step), v in verdict.items()}
 
 
 # --- what is wound ---
@@ -303,11 +303,11 @@ def check_winding(path: Path) -> None:
     for change in changes:
         two = change(rng, two)
     whole = rng.randrange(WHOLE) == 0
-    before = one.told(path.with_name("one.nc"), whole=whole)
-    after = two.told(path.with_name("two.nc"), whole=whole)
+    before = one.outcomes(path.with_name("one.nc"), whole=whole)
+    after = two.outcomes(path.with_name("two.nc"), whole=whole)
     free = tuple(k[0] for k in before if k[0].endswith(_BY_DIRECTION) and end_for_end in changes)
     names = " ".join(change.__name__ for change in changes)
-    told = f"{names}\n{json.dumps(one.product)}\n{one.tool}\n{one.text}\n"
-    told += f"{json.dumps(two.product)}\n{two.tool}\n{two.text}"
+    digest = f"{names}\n{json.dumps(one.product)}\n{one.tool}\n{one.text}\n"
+    digest += f"{json.dumps(two.product)}\n{two.tool}\n{two.text}"
     # Simulated, the axes round to other counts.
-    same_verdicts(before, after, told, moved=whole, free=free)
+    same_verdicts(before, after, digest, moved=whole, free=free)

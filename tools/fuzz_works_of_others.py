@@ -302,7 +302,7 @@ class Placer:
         for number, one in enumerate(drawn or work.drawn):
             rows = []
             for key, value in one.items():
-                text = _told(value, inches=inches, seconds=words is not None)
+                text = _toml_value(value, inches=inches, seconds=words is not None)
                 if key == "step" and names:
                     text, steps[f"{value}{number}"] = f'"{value}{number}"', value
                 rows.append(f"{key} = {text}")
@@ -330,7 +330,7 @@ class Placer:
         return replace(self._listed(work, drawn), switched=True)
 
 
-def _told(value: Any, *, inches: bool, seconds: bool) -> str:
+def _toml_value(value: Any, *, inches: bool, seconds: bool) -> str:
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, str):

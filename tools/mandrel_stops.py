@@ -106,7 +106,7 @@ def main() -> None:
     mode = mandrel.mode
     print(f"the mandrel rings at {mode.frequency_hz:.2f} Hz, damped {mode.damping:.1%}")
 
-    def told(name: str, speed: FloatArray) -> None:
+    def outcomes(name: str, speed: FloatArray) -> None:
         swings = [mandrel.swing(speed, many, times) for times in _OFF]
         print(
             f"{name}: "
@@ -115,7 +115,7 @@ def main() -> None:
             )
         )
 
-    told("half cosine within 0.5 s, at frequencies off by", half_cosine(full, 0.5))
+    outcomes("half cosine within 0.5 s, at frequencies off by", half_cosine(full, 0.5))
 
     def worst(shares: FloatArray) -> float:
         return mandrel.swing(mandrel.stop(shares, full), six)
@@ -124,7 +124,7 @@ def main() -> None:
     found: Any = differential_evolution(
         worst, bounds, maxiter=options.rounds, popsize=6, rng=1, tol=1e-9
     )
-    told("the best stop that was found", mandrel.stop(found.x, full))
+    outcomes("the best stop that was found", mandrel.stop(found.x, full))
 
 
 if __name__ == "__main__":

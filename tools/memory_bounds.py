@@ -49,12 +49,12 @@ def slow(folder: Path) -> list[str]:  # noqa: ARG001 - as the others
     ]  # fmt: skip
 
 
-def _bomb(folder: Path, parts: int, *, told: bool) -> list[str]:
+def _bomb(folder: Path, parts: int, *, text: bool) -> list[str]:
     """An archive whose columns end in ``parts`` times 16 MB of zeros, packed a thousand-fold.
 
-    Where ``told``, the heads of the columns count them too, and all check sums are right.
+    Where ``outcomes``, the heads of the columns count them too, and all check sums are right.
     """
-    path = folder / f"bomb-{parts}-{told}.npz"
+    path = folder / f"bomb-{parts}-{text}.npz"
     small = folder / "seed.npz"
     subprocess.run(
         [sys.executable, "-m", "threadline", "prove", str(EXAMPLES / "x-180.prg"), "-m",
@@ -66,7 +66,7 @@ def _bomb(folder: Path, parts: int, *, told: bool) -> list[str]:
         for name in seed.namelist():
             count = parts // len(channels) if name in channels else 0
             content = seed.read(name)
-            if told and count:
+            if text and count:
                 content = _longer(content, count * len(_ZEROS) // 8)
             with made.open(name, "w", force_zip64=True) as member:
                 member.write(content)
@@ -203,9 +203,9 @@ def _modes(*words: str) -> Case:
 CASES: dict[str, Case] = {
     "x-180, cubic, 0.0009 mm/s": slow,
     "x-180, cubic, 0.0009 mm/s, --recording": slow_recording,
-    "judge an npz of 5 MB that unpacks to 5 GB": lambda f: _bomb(f, 300, told=False),
-    "judge an npz of 48 MB that unpacks to 48 GB": lambda f: _bomb(f, 2880, told=False),
-    "the same with all counts and check sums right": lambda f: _bomb(f, 2880, told=True),
+    "judge an npz of 5 MB that unpacks to 5 GB": lambda f: _bomb(f, 300, text=False),
+    "judge an npz of 48 MB that unpacks to 48 GB": lambda f: _bomb(f, 2880, text=False),
+    "the same with all counts and check sums right": lambda f: _bomb(f, 2880, text=True),
     "on/off list of 800 moves": moves_800,
     "on/off list of 100 000 operations": operations_1e5,
     "on/off list with a dwell of 30 min": dwell_30_min,

@@ -121,10 +121,10 @@ def browser_pids(page: Page) -> dict[str, int]:
     browser = page.context.browser
     assert browser is not None
     session = browser.new_browser_cdp_session()
-    told: Any = session.send("SystemInfo.getProcessInfo")
+    answer: Any = session.send("SystemInfo.getProcessInfo")
     session.detach()
     kinds = {"renderer": "page", "GPU": "drawing"}
-    found = {one["type"]: one["id"] for one in told["processInfo"] if one["cpuTime"] > 0.0}
+    found = {one["type"]: one["id"] for one in answer["processInfo"] if one["cpuTime"] > 0.0}
     return {name: int(found[kind]) for kind, name in kinds.items() if kind in found}
 
 

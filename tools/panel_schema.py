@@ -8,10 +8,10 @@ from typing import Any
 from threadline.machine import load_machine
 from threadline.panel.admission import Admission
 from threadline.panel.calculation import Calculation, MachineGuide
-from threadline.panel.kept_runs import Owned
 from threadline.panel.owner_process import OwnerLink, start_owner
 from threadline.panel.panel import Panel
 from threadline.panel.server import make_api, schema_of
+from threadline.panel.stored_runs import Owned
 
 ROOT = Path(__file__).parents[1]
 FILE = ROOT / "docs" / "panel-protocol.json"

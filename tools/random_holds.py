@@ -52,7 +52,7 @@ def run_with_holds(random: np.random.Generator) -> tuple[int, bool]:
         and counts[-1].tolist() == ROWS.sum(axis=0).tolist()
         and 0 <= steps.min() <= steps.max() <= 11
         and off_path(counts) <= 1.0
-        and off_plan(counts, plan_ticks(bench.kept.blocks, len(counts))) <= _HALF_COUNT
+        and off_plan(counts, plan_ticks(bench.sink.blocks, len(counts))) <= _HALF_COUNT
     )
     return holds, bool(sound)
 
@@ -76,7 +76,7 @@ def judged_with_holds(random: np.random.Generator, runs: int) -> tuple[int, int]
                 bench.desk.ask(Cause.RESUME)
                 bench.executor.obey()
             bench.go_on()
-            wrong += not alike(judge([bench.kept.recording(plan)], plan, SPEC), unheld)
+            wrong += not alike(judge([bench.sink.recording(plan)], plan, SPEC), unheld)
     return holds, wrong
 
 

@@ -114,7 +114,7 @@ def fresh_swings(frame: Frame, windows_s: Floats) -> Complexes:
 
 
 def swings_left(
-    frame: Frame, ways_m: Floats, needle: NDArray[np.int64], turn_s: Floats, share: float
+    frame: Frame, travels_m: Floats, needle: NDArray[np.int64], turn_s: Floats, share: float
 ) -> float:
     """Return the largest amplitude, m, with which a needle enters; it enters as the window ends."""
     fresh, now, worst = (
@@ -126,23 +126,23 @@ def swings_left(
         if k:
             rest = 2.0 * (1.0 - share) / (1.0 / turn_s[k - 1] + 1.0 / turn_s[k])
             now = now * np.exp(frame.poles * (rest + share * turn_s[k]))
-        now = now + ways_m[k, frame.axis] * fresh[k]
+        now = now + travels_m[k, frame.axis] * fresh[k]
         if needle[k]:
             worst = max(worst, float(np.abs(now).max()))
     return worst
 
 
-def shortest_turns(machine: Machine, ways_m: Floats) -> Floats:
+def shortest_turns(machine: Machine, travels_m: Floats) -> Floats:
     """Return (n,) the shortest turn of each move: limits of axes, step rate, loading of tables."""
     assert machine.shaft is not None and machine.tables is not None
-    share, length = float(machine.shaft.window_share), np.abs(ways_m)
-    window = np.zeros(len(ways_m))
+    share, length = float(machine.shaft.window_share), np.abs(travels_m)
+    window = np.zeros(len(travels_m))
     for column, axis in enumerate(machine.axes.values()):
         speed = min(axis.velocity.si, machine.tables.step_rate.si / axis.counts.si)
         by_speed = 1.7595757 * length[:, column] / speed
         by_force = np.sqrt(5.5279571 * length[:, column] / axis.acceleration.si)
         window = np.maximum(window, np.maximum(by_speed, by_force))
-    loads = (ways_m[1:] != 0.0).sum(axis=1) * machine.tables.fetch.si
+    loads = (travels_m[1:] != 0.0).sum(axis=1) * machine.tables.fetch.si
     turn = np.maximum(window / share, np.append(loads, 0.0) / (1.0 - share))
     return np.minimum(np.maximum(turn, float(machine.shaft.turn_s)), machine.shaft.slowest_turn.si)
 
@@ -151,7 +151,7 @@ def shortest_turns(machine: Machine, ways_m: Floats) -> Floats:
 class Problem:
     """Moves of a design on a machine: (n, 2) travel, (n,) needle, (n,) shortest turns, spindle."""
 
-    ways_m: Floats
+    travels_m: Floats
     needle: NDArray[np.int64]
     shortest_s: Floats
     share: float
@@ -178,19 +178,19 @@ def beam(problem: Problem, frame: Frame, asked_m: float, width: int) -> Floats |
     named = [int(np.flatnonzero(frame.axis == column)[0]) for column in (0, 1)]
     able = np.isfinite(to_go[0])
     if problem.needle[0]:
-        able &= np.abs(problem.ways_m[0, frame.axis] * fresh).max(axis=1) <= asked_m
+        able &= np.abs(problem.travels_m[0, frame.axis] * fresh).max(axis=1) <= asked_m
     first = np.flatnonzero(able)
     at, time = first, np.zeros(len(first))
-    swing = problem.ways_m[0, frame.axis] * fresh[first]
+    swing = problem.travels_m[0, frame.axis] * fresh[first]
     backs, ats = [np.zeros(len(first), np.int64)], [first]
-    for k in range(1, len(problem.ways_m)):
+    for k in range(1, len(problem.travels_m)):
         source = np.repeat(np.arange(len(at)), [len(reach[j]) for j in at])
         then = np.concatenate([reach[j] for j in at])
         ends = np.isfinite(to_go[k][then])
         source, then = source[ends], then[ends]
         spent = pair_s[at[source], then]
         now = swing[source] * kept[at[source], then]
-        now += problem.ways_m[k, frame.axis] * fresh[then]
+        now += problem.travels_m[k, frame.axis] * fresh[then]
         if problem.needle[k]:
             within = np.abs(now).max(axis=1) <= asked_m
             source, then, now, spent = source[within], then[within], now[within], spent[within]
@@ -219,7 +219,7 @@ def beam(problem: Problem, frame: Frame, asked_m: float, width: int) -> Floats |
 def _alone_s(problem: Problem, frame: Frame) -> float:
     """Return a turn from which on the longest move alone leaves at most the tolerance."""
     turn_s = np.geomspace(problem.shortest_s.min(), problem.slowest_s, 2000)
-    most = np.abs(problem.ways_m[problem.needle == 1]).max(axis=0)[frame.axis]
+    most = np.abs(problem.travels_m[problem.needle == 1]).max(axis=0)[frame.axis]
     over = (np.abs(fresh_swings(frame, problem.share * turn_s)) * most).max(axis=1)
     beyond = np.flatnonzero(over > problem.tolerance_m)
     return float(turn_s[min(beyond[-1] + 1, len(turn_s) - 1)]) if len(beyond) else float(turn_s[0])
@@ -240,13 +240,13 @@ def _to_go(
     reach: list[NDArray[np.int64]], pair_s: Floats, asked_m: float,
 ) -> Floats:  # fmt: skip
     """Return (n, N) the least time to the end; infinite where the swing of a move is hopeless."""
-    turns, count = len(problem.ways_m), len(turn_s)
+    turns, count = len(problem.travels_m), len(turn_s)
     found = np.full((turns, count), np.inf)
     spared = np.exp(frame.poles.real[None, :] * pair_s.min())
     for k in range(turns - 1, -1, -1):
         able = turn_s >= problem.shortest_s[k] * (1.0 - 1e-12)
         if problem.needle[k] and (k == 0 or problem.needle[k - 1]):
-            own = np.abs(problem.ways_m[k, frame.axis] * fresh)
+            own = np.abs(problem.travels_m[k, frame.axis] * fresh)
             able &= (own <= asked_m * (1.0 + spared)).all(axis=1)
         for j in np.flatnonzero(able):
             if k == turns - 1:
@@ -266,12 +266,12 @@ def compared(
     options = Options(robust_share=share)
     plan = plan_job(open_job(design, machine, options), machine, options)
     moves = plan.stitched.turns.moves
-    ways_m = np.asarray(moves.units * machine.tables.unit.si, dtype=np.float64)
+    travels_m = np.asarray(moves.units * machine.tables.unit.si, dtype=np.float64)
     window = float(machine.shaft.window_share)
     problem = Problem(
-        ways_m=ways_m,
+        travels_m=travels_m,
         needle=np.asarray(moves.needle, dtype=np.int64),
-        shortest_s=shortest_turns(machine, ways_m),
+        shortest_s=shortest_turns(machine, travels_m),
         share=window,
         change=2.0 * (1.0 - window) * machine.shaft.acceleration.si / (2.0 * pi),
         slowest_s=machine.shaft.slowest_turn.si,
@@ -284,7 +284,7 @@ def compared(
         found = beam(problem, frame, asked_m, width)
         if found is None:
             break
-        left_m = swings_left(closer, ways_m, problem.needle, found, window)
+        left_m = swings_left(closer, travels_m, problem.needle, found, window)
         if left_m <= problem.tolerance_m * (1.0 + 1e-6):
             best = found
             break
@@ -292,7 +292,7 @@ def compared(
     first = plan.stitched.turns.turn_s
     result: dict[str, Any] = {
         "first_s": total_s(first, window),
-        "first_leaves_m": swings_left(closer, ways_m, problem.needle, first, window),
+        "first_leaves_m": swings_left(closer, travels_m, problem.needle, first, window),
         "bound_s": plan.stitched.bound_s,
         "second_s": None if best is None else total_s(best, window),
         "second_leaves_m": float(left_m),

@@ -280,9 +280,9 @@ def _one_kill(plan: Plan, known: ProofFile, folder: Path, whom: str, tick: int) 
     clock = recording.channels[0].clock
     last = max(block.first_tick[clock.name] + len(next(iter(block.samples.values())))
                for block in recording.blocks)  # fmt: skip
-    told_s = tick * float(plan.machine.command_clock.period_s)
-    if told_s - last * float(clock.period_s) > LOST_S:
-        yield f"the trace ends at {last * float(clock.period_s):.2f} s, {told_s:.2f} s were told"
+    commanded_s = tick * float(plan.machine.command_clock.period_s)
+    if commanded_s - last * float(clock.period_s) > LOST_S:
+        yield f"the trace ends at {last * float(clock.period_s):.2f} s, {commanded_s:.2f} s sent"
     (kept / "trace.mcap").unlink()
 
 

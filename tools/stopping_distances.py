@@ -26,7 +26,7 @@ def distances(peak: float, tick: int, *, stop: bool) -> tuple[float, float]:
         bench.wire.machine.play(400)
         message = bench.wire.receive()
         assert message is not None
-        bench.kept.block(bench.executor.far_end.reported(message, None))
+        bench.sink.block(bench.executor.far_end.reported(message, None))
     return tuple(  # type: ignore[return-value]
         1e3 * float(np.abs(np.diff(bench.channel(f"X.{what}")[at:])).sum())
         for what in ("commanded", "load")

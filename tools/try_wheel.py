@@ -40,7 +40,7 @@ def installed(wheel: Path, folder: Path) -> Path:
     return programs
 
 
-def said(program: Sequence[str | Path], folder: Path) -> str:
+def output_of(program: Sequence[str | Path], folder: Path) -> str:
     """Return what a program prints; one that fails ends this one."""
     print("+", *(Path(word).name for word in program), flush=True)
     done = subprocess.run(program, cwd=folder, check=True, stdout=subprocess.PIPE, text=True)
@@ -93,13 +93,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
         threadline = programs / "threadline"
         python = programs / "python"
         for program in ([threadline], [python, "-m", "threadline"]):
-            if said([*program, "--version"], folder).strip() != version:
+            if output_of([*program, "--version"], folder).strip() != version:
                 sys.exit(f"{program} is not of version {version}")
-        if MACHINE not in said([threadline, "machines"], folder):
+        if MACHINE not in output_of([threadline, "machines"], folder):
             sys.exit("the wheel has no library of machines")
         linear = ["prove", JOB, "-m", MACHINE, "--interpolation", "linear", "--nominal"]
-        print(said([threadline, *linear, "--report", "report"], folder).splitlines()[-1])
-        said([threadline, "new", "winder", "mine"], folder)
+        print(output_of([threadline, *linear, "--report", "report"], folder).splitlines()[-1])
+        output_of([threadline, "new", "winder", "mine"], folder)
         try_panel(threadline, folder)
     print(f"{wheel.name} works in a bare environment")
 

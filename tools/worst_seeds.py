@@ -42,8 +42,8 @@ def main(seeds: str, job: str, reference: str, *pairs_given: str) -> None:
         for count in (20, 200):
             days = drawn_days(count, len(plan.axes), np.random.default_rng(REPEAT_SEED))
             shares.append(shares_of(within.in_days(parts, days))[0].max())
-        told_shares = ", ".join(f"{share * 100.0:.1f} %" for share in shares)
-        print(f"seed {seed}: {search.searched} machines, {told_shares}", flush=True)
+        share_texts = ", ".join(f"{share * 100.0:.1f} %" for share in shares)
+        print(f"seed {seed}: {search.searched} machines, {share_texts}", flush=True)
 
 
 if __name__ == "__main__":

@@ -292,11 +292,11 @@ def unit_factor(unit: str, target: str) -> float:
         meant = respelt_unit(unit, target)
         hint = f"Did you mean {meant!r}?" if meant else f"Use a unit like {target!r}."
         raise UnitError(f"unknown unit {unit!r}", remedy=hint) from error
-    wanted = registry.parse_units(_normalise(target))
-    if source.dimensionality != wanted.dimensionality:
+    target_unit = registry.parse_units(_normalise(target))
+    if source.dimensionality != target_unit.dimensionality:
         raise _dimension_error(unit, target)
     try:
-        factor = float(registry.Quantity(1.0, source).to(wanted).magnitude)
+        factor = float(registry.Quantity(1.0, source).to(target_unit).magnitude)
     except ArithmeticError as error:
         raise UnitError(f"the factor from {unit!r} to {target!r} is not a finite number") from error
     if not (math.isfinite(factor) and factor > 0):

@@ -45,8 +45,8 @@ def test_prove_json_has_the_promised_keys(
     # Fourteen moves of 25.714 mm at 36 mm/s take 142.9 ticks of 5 ms each, in whole ticks.
     assert content["ticks"] == 14 * 143
     assert content["duration_s"] == pytest.approx(14 * 143 * 0.005, rel=1e-9)
-    wanted = {"job", "machine", "interpolation", "criteria", "job_sha256", "threadline"}
-    assert wanted <= content.keys()
+    expected = {"job", "machine", "interpolation", "criteria", "job_sha256", "threadline"}
+    assert expected <= content.keys()
     assert content["machine_sha256"] == load_machine("lathe-winder").sha256
     for criterion in content["criteria"]:
         assert {
@@ -251,7 +251,7 @@ def test_feed_mode_sets_the_length_over_which_f_is_the_speed(
 
 
 @pytest.mark.parametrize(
-    ("options", "said"),
+    ("options", "message"),
     [
         (["--feed-mode", "cadfill"], "F cannot be read as 'cadfill'"),
         (["--feed-mode", "base-axes"], "base axes go with the feed mode base-axes"),
@@ -260,11 +260,11 @@ def test_feed_mode_sets_the_length_over_which_f_is_the_speed(
     ],
 )
 def test_a_meaning_that_f_cannot_have_is_refused(
-    options: list[str], said: str, examples: Path, capsys: pytest.CaptureFixture[str]
+    options: list[str], message: str, examples: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     code, out, err = run(capsys, "prove", examples / "x-180.prg", "-m", "lathe-winder", *options)
     assert (code, out) == (2, "")
-    assert said in err
+    assert message in err
 
 
 def test_report_and_table_files(

@@ -50,8 +50,8 @@ def test_limits_alone_and_a_job_with_feeds(
     limits, job = limits_alone(tmp_path, "G1 X20 A90 F1000\nG1 X0")
     answer = json.loads(_compared(capsys, str(job), "-m", str(limits), "--json"))
     assert "the machine file has no dynamics" in answer["fastest_left_out"]
-    said = _compared(capsys, str(job), "-m", str(limits))
-    assert "limits kept" in said and "in spec" not in said
+    message = _compared(capsys, str(job), "-m", str(limits))
+    assert "limits kept" in message and "in spec" not in message
     words = [str(EXAMPLES / "x-180.prg"), "-m", "lathe-winder", "--interpolation", "linear"]
     answer = json.loads(_compared(capsys, *words, "--json"))
     assert answer["fastest"]["linear"]["best"] > 0.0

@@ -19,7 +19,7 @@ from threadline.errors import OptionError
 from threadline.machine import load_machine
 from threadline.proof.options import options_of
 from threadline.proof.pipeline import Trials
-from threadline.search.design import DesignResult, Wanted
+from threadline.search.design import DesignResult, Requirements
 from threadline.search.design import design as search
 from threadline.search.design_evaluate import Effort, Evaluator
 from threadline.verdict import load_spec
@@ -70,9 +70,9 @@ def files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     (tmp_path / "spec.toml").write_text(library.read_text(encoding="utf-8"))
 
     def quick(
-        file: Path, machine: Any, spec: Any, options: Any, wanted: Wanted, progress: Any
+        file: Path, machine: Any, spec: Any, options: Any, requirements: Requirements, progress: Any
     ) -> DesignResult:
-        return search(file, machine, spec, options, replace(wanted, effort=QUICK), progress)
+        return search(file, machine, spec, options, replace(requirements, effort=QUICK), progress)
 
     monkeypatch.setattr(command, "search_design", quick)
     return tmp_path
@@ -183,10 +183,10 @@ def test_a_design_is_planned_and_judged_as_a_proof_is_asked_to(
     ahead = ("--feed-forward", "--robust", "100 %", "--smoothing", "50 ms")
     more = ("--ends", "100 %", "--band", "10 %", "--nominal")
     assert run(capsys, "design", *job, *ahead, *more)[0] == 2
-    ((_, _, _, options, wanted, _),) = given
-    assert wanted.trials == Trials(ends=1.0, band=0.1)
+    ((_, _, _, options, requirements, _),) = given
+    assert requirements.trials == Trials(ends=1.0, band=0.1)
     evaluator = SimpleNamespace(
-        space=SimpleNamespace(ahead=True, smoothing_s=lambda _: wanted.smoothing_s[0]),
+        space=SimpleNamespace(ahead=True, smoothing_s=lambda _: requirements.smoothing_s[0]),
         _options=options,
     )
     assert Evaluator.options_at(cast("Evaluator", evaluator), 0) == options_of(

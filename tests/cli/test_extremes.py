@@ -105,7 +105,7 @@ def test_a_move_that_rings_modes_far_apart_is_refused(
 
 
 @pytest.mark.parametrize(
-    ("typed", "said"),
+    ("typed", "message"),
     [
         (["size", "--gear-ratio", "3:1"], "'--gear-ratio' must be a number, got '3:1'"),
         (
@@ -123,12 +123,12 @@ def test_a_move_that_rings_modes_far_apart_is_refused(
     ],
 )
 def test_a_value_that_is_no_number_is_told_with_what_was_typed(
-    typed: list[str], said: str, capsys: pytest.CaptureFixture[str]
+    typed: list[str], message: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     code, out, err = run(typed, capsys)
 
     assert (code, out) == (2, "")
-    assert said in err
+    assert message in err
     assert err.count("\n") == 1
     assert "Input should" not in err
 

@@ -81,9 +81,9 @@ def test_repeats_are_printed_and_the_table_is_written(
     assert (report / "learning-learning.png").stat().st_size > 10_000
     code, out, _ = run(capsys, "prove", *asked, *more[:4], "--table", table)
     assert code == 0
-    code, _, said = run(capsys, "prove", *asked, "--nominal", "--table", table)
+    code, _, output = run(capsys, "prove", *asked, "--nominal", "--table", table)
     assert code == 2
-    assert "learned from another plan of this job" in said
+    assert "learned from another plan of this job" in output
 
 
 def test_other_machines_are_judged_by_both_doors_alike(
@@ -93,8 +93,8 @@ def test_other_machines_are_judged_by_both_doors_alike(
     job = tmp_path / "turn.prg"
     job.write_text("G91\nG1 X2 F1000\nM30\n")
     words = ("learn", job, "-m", "lathe-winder", "--tolerances", "--repeats", "1", "--json")
-    code, out, said = run(capsys, *words)
-    assert code == 0, said
+    code, out, output = run(capsys, *words)
+    assert code == 0, output
     found = tl.learn(job, "lathe-winder", level="over tolerances", repeats=1)
     typed = json.loads(out)
     assert typed == json.loads(json.dumps(found.content()))
@@ -102,8 +102,8 @@ def test_other_machines_are_judged_by_both_doors_alike(
     assert typed["machines"][0]["verdict"]["tolerances"]["drawn"] == 200
     recording = tmp_path / "x.npz"
     tl.prove(job, "lathe-winder", level="nominal").record(recording)
-    code, _, said = run(capsys, *words[:5], "--from", recording)
-    assert code == 2 and "Leave --tolerances out" in said
+    code, _, output = run(capsys, *words[:5], "--from", recording)
+    assert code == 2 and "Leave --tolerances out" in output
     with pytest.raises(OptionError, match=r'runs= judges .* Leave level="over tolerances" out'):
         tl.learn(job, "lathe-winder", level="over tolerances", runs=[recording])
 
@@ -130,11 +130,11 @@ def test_run_learn_run_over_the_link(
         named = [part for name in runs for part in ("--from", name)]
         learned = (*asked, *named, "--store", store, "-o", table)
         run(capsys, "learn", *learned)
-        code, out, said = run(
+        code, out, output = run(
             capsys, "run", *asked, *more, "--table", table, "--override", "it learns"
         )
         runs.append(json.loads(out)["run"])
-    assert code == 0, said
+    assert code == 0, output
 
 
 @pytest.mark.parametrize(
@@ -161,20 +161,20 @@ def test_learn_refuses_an_impossible_request_in_one_line(
     kept = EXAMPLES / "x-180.prg"
     if "x.npz" in words:
         run(capsys, "prove", kept, "-m", "lathe-winder", "--nominal", "--recording", "x.npz")
-    code, out, said = run(capsys, "learn", *asked, "--feed-forward", *words)
+    code, out, output = run(capsys, "learn", *asked, "--feed-forward", *words)
     assert (code, out) == (2, "")
-    assert refusal in said
+    assert refusal in output
     assert not [*tmp_path.glob("two.npz"), *tmp_path.glob("table*")]
 
 
 def test_another_machine_is_simulated_by_the_simulated_link_alone(
     asked: list[str | Path], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    code, _, said = run(
+    code, _, output = run(
         capsys, "run", *asked, "--actual", "stitcher+backlash", "--link", "hal:loopback"
     )
     assert code == 2
-    assert "--actual is simulated" in said
+    assert "--actual is simulated" in output
 
 
 def test_the_row_called_plan_is_called_plan_below_the_table_too() -> None:

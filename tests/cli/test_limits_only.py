@@ -77,10 +77,10 @@ def test_two_answers_make_a_machine_that_is_proven_for_limits(
                                                         {"acceleration"})):  # fmt: skip
         where = ("prove", "there-and-back.gcode", "-m", "machine.toml", *words)
         code, out, _ = run(capsys, *where, "--json")
-        said = json.loads(out)
-        assert code == 0 and said["level"] == "limits and time alone"
-        assert said["interpolation"] == name
-        limited = {row["name"] for row in said["criteria"] if row["limit"] is not None}
+        answer = json.loads(out)
+        assert code == 0 and answer["level"] == "limits and time alone"
+        assert answer["interpolation"] == name
+        limited = {row["name"] for row in answer["criteria"] if row["limit"] is not None}
         assert limited == {"travel", "velocity"} | more
     assert "measured" not in (folder / "spec.toml").read_text()
 

@@ -110,14 +110,14 @@ def test_standard_output_is_written_to_and_not_replaced(
     """The table alone goes there, into a pipe or a file; the hash goes to standard error."""
     start = [sys.executable, "-m", "threadline", *COMPILE.split()]
     assert run(f"{COMPILE} table.csv", capsys)[0] == 0
-    wanted = (folder / "table.csv").read_bytes()
+    expected = (folder / "table.csv").read_bytes()
     piped = subprocess.run([*start, "/dev/stdout"], check=True, capture_output=True, timeout=300)
-    assert piped.stdout == wanted
+    assert piped.stdout == expected
     assert b"  /dev/stdout\n" in piped.stderr
     (folder / "redirected").write_bytes(b"what the shell has written before\n")
     with (folder / "redirected").open("ab") as file:
         subprocess.run(
             [*start, "/dev/stdout"], check=True, stdout=file, stderr=subprocess.DEVNULL, timeout=300
         )
-    assert (folder / "redirected").read_bytes() == b"what the shell has written before\n" + wanted
+    assert (folder / "redirected").read_bytes() == b"what the shell has written before\n" + expected
     assert Path("/dev/stdout").is_symlink()

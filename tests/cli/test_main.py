@@ -105,11 +105,11 @@ def test_an_interrupt_that_machine_code_returned_with_is_one(
 
 
 @pytest.mark.parametrize(
-    ("number", "said"), [(signal.SIGTERM, "terminated"), (signal.SIGHUP, "hung up")]
+    ("number", "message"), [(signal.SIGTERM, "terminated"), (signal.SIGHUP, "hung up")]
 )
 def test_a_termination_is_one_line_and_leaves_nothing(
     number: signal.Signals,
-    said: str,
+    message: str,
     examples: Path,
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
@@ -138,7 +138,7 @@ def test_a_termination_is_one_line_and_leaves_nothing(
         answering = signal.signal(number, outside)
 
     assert (code, out) == (128 + number, "")
-    assert err == f"error: {said}; nothing was left half-written\n"
+    assert err == f"error: {message}; nothing was left half-written\n"
     assert list(tmp_path.iterdir()) == []
     assert answering is unanswered
 

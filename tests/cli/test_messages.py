@@ -150,7 +150,7 @@ def test_nothing_is_said_while_a_question_waits_for_its_answer(
 
 
 @pytest.mark.parametrize(
-    ("kept", "said"),
+    ("kept", "message"),
     [
         (True, "once on this computer: later runs begin at once"),
         (
@@ -160,12 +160,12 @@ def test_nothing_is_said_while_a_question_waits_for_its_answer(
     ],
 )
 def test_the_first_run_on_a_computer_says_once_that_it_compiles(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, kept: bool, said: str
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, kept: bool, message: str
 ) -> None:
     """A function without a cache stands for those on a new computer; the seconds are 0 here."""
     monkeypatch.setattr(messages, "LOOK_S", 0.01)
     monkeypatch.setattr(messages, "COMPILING_S", 0.0)
-    monkeypatch.setattr(COMPILING, "kept", kept)
+    monkeypatch.setattr(COMPILING, "cached", kept)
     before_s, before = COMPILING.lasted_s(), COMPILING.functions
     with messages.telling():
         time.sleep(0.1)
@@ -178,7 +178,7 @@ def test_the_first_run_on_a_computer_says_once_that_it_compiles(
         assert numba.njit(lambda x: x - 1)(1) == 0
         time.sleep(0.1)
     heard += capsys.readouterr().err
-    assert re.fullmatch(f"compiling machine code, {said}\\n", heard)
+    assert re.fullmatch(f"compiling machine code, {message}\\n", heard)
     assert (COMPILING.depth, COMPILING.functions) == (0, before + 2)
     assert 0.0 < COMPILING.lasted_s() - before_s < 60.0
 
@@ -209,9 +209,9 @@ def test_an_error_is_the_last_line_however_slowly_a_word_before_it_is_written(
         main([str(word) for word in words])
     time.sleep(0.5)  # for a message that is still being written
     out, err = capsys.readouterr()
-    *said, error = err.splitlines()
+    *message, error = err.splitlines()
     assert (out, error) == ("", "error: [PLAN] too fast.")
-    assert said and all(line.startswith("still at work after ") for line in said)
+    assert message and all(line.startswith("still at work after ") for line in message)
 
 
 def test_the_word_of_each_minute_says_how_long_it_will_be(
@@ -392,9 +392,9 @@ def test_the_word_comes_before_the_command_is_loaded(tmp_path: Path) -> None:
         [sys.executable, str(slow)], stdout=subprocess.PIPE, stderr=theirs
     ) as running:
         os.close(theirs)
-        said = os.read(ours, 100).decode()
+        message = os.read(ours, 100).decode()
         assert running.poll() is None  # it still waits
-        assert said == "starting ..."
+        assert message == "starting ..."
         out, _ = running.communicate()
     assert b"lathe-winder" in out
     assert os.read(ours, 100).decode().strip() == ""
@@ -405,10 +405,10 @@ def test_a_recording_and_a_report_are_stages_of_their_own(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The judged run is simulated again for writing, which is far from done."""
-    said: dict[str, float] = {}
+    shares: dict[str, float] = {}
 
     def noted(stage: str, fraction: float = 0.0, *, shown: bool) -> None:
-        said.setdefault(stage, fraction)
+        shares.setdefault(stage, fraction)
 
     def drawn(*_: object) -> Path:
         return tmp_path / "report.html"
@@ -419,24 +419,24 @@ def test_a_recording_and_a_report_are_stages_of_their_own(
     words = ["--nominal", "--interpolation", "linear", "--recording", tmp_path / "x.npz"]
     with pytest.raises(SystemExit):
         main([str(word) for word in [*PROVE, *words, "--report", tmp_path / "report"]])
-    assert list(said) == [
+    assert list(shares) == [
         "planning",
         "simulating and judging",
         "measuring the plan",
         "simulating and writing the recording",
         "drawing the report",
     ]
-    assert said["drawing the report"] == 0.0
+    assert shares["drawing the report"] == 0.0
 
 
 def test_a_compilation_says_what_it_is_at(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    said: list[str] = []
-    monkeypatch.setattr(output, "at_work", lambda stage, *_, **__: said.append(stage))
+    texts: list[str] = []
+    monkeypatch.setattr(output, "at_work", lambda stage, *_, **__: texts.append(stage))
     words = [*PROVE[1:], "--target", "csv", "-o", tmp_path / "x.csv"]
     assert PROVE[0] == "prove"
     with pytest.raises(SystemExit):
         main(["compile", *map(str, words)])
-    assert said == ["planning", "writing and reading back"]
+    assert texts == ["planning", "writing and reading back"]
 
 
 def test_the_bar_says_how_far_planning_is_and_no_share_that_nobody_knows() -> None:

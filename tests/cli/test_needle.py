@@ -30,11 +30,11 @@ def prove(tmp_path: Path, capsys: pytest.CaptureFixture[str], more: str, *option
 
 def test_an_uneven_needle_is_told(tmp_path, capsys):
     """The warning is there exactly if the measure exceeds the limit of a stitch's length."""
-    error, said = prove(tmp_path, capsys, "")
+    error, message = prove(tmp_path, capsys, "")
     assert error > 0.05
-    assert "the needle should turn evenly" in said
-    assert f"{100 * error:.2g} % more than a turn, limit 5 %" in said
-    assert "--feed-forward" in said
+    assert "the needle should turn evenly" in message
+    assert f"{100 * error:.2g} % more than a turn, limit 5 %" in message
+    assert "--feed-forward" in message
 
 
 @pytest.mark.parametrize(
@@ -46,6 +46,6 @@ def test_an_uneven_needle_is_told(tmp_path, capsys):
     ],
 )
 def test_an_even_or_slowed_needle_is_not(more, options, tmp_path, capsys):
-    error, said = prove(tmp_path, capsys, more, *options)
-    assert "needle should turn evenly" not in said
+    error, message = prove(tmp_path, capsys, more, *options)
+    assert "needle should turn evenly" not in message
     assert error < 0.05 or more

@@ -170,7 +170,7 @@ def test_a_dump_of_settings_becomes_a_project_in_spec(
 
 
 @pytest.mark.parametrize(
-    ("arguments", "said"),
+    ("arguments", "message"),
     [
         (["grbl", "mine"], "Name grbl's answer to $$ with --from"),
         (
@@ -182,7 +182,7 @@ def test_a_dump_of_settings_becomes_a_project_in_spec(
 )
 def test_settings_of_another_kind_are_refused(
     arguments: list[str],
-    said: str,
+    message: str,
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
@@ -191,7 +191,7 @@ def test_settings_of_another_kind_are_refused(
     (tmp_path / "dump.txt").write_text(SETTINGS)
     code, _, err = run(capsys, "new", *arguments)
     assert code == 2
-    assert said in err
+    assert message in err
 
 
 def test_new_lists_every_setting_with_its_line(
@@ -292,12 +292,12 @@ def test_a_winder_on_a_firmware_is_named_after_both(
     dump = tmp_path / "mine.txt"
     letters = "".join(f"$10{k}=80\n$11{k}=5000\n$12{k}=200\n$13{k}=300\n" for k in range(3))
     dump.write_text(f"$11=0.010\n{letters}")
-    said = []
+    messages = []
     for kind in ("grbl", "grbl-winder"):
         words = ["new", kind, tmp_path / kind, "--from", dump, "--limits-only"]
         assert run(capsys, *words)[0] == 0
-        said.append((tmp_path / kind / "machine.toml").read_text())
-    assert said[0] == said[1]
+        messages.append((tmp_path / kind / "machine.toml").read_text())
+    assert messages[0] == messages[1]
     code, _, err = run(capsys, "new", "grbl-winder", tmp_path / "other")
     assert code == 2 and "a grbl machine is made from the settings of its controller" in err
 
@@ -309,9 +309,9 @@ def test_a_machine_by_its_work_is_sent_to_its_firmware(
     """A user types the name of the work; the nearest word to plotter was placer."""
     with pytest.raises(SystemExit) as stopped:
         main(["new", named, str(tmp_path / "mine")])
-    said = capsys.readouterr().err
+    errors = capsys.readouterr().err
     assert stopped.value.code == 2
-    assert "named after the firmware of its controller. There are: grbl" in " ".join(said.split())
+    assert "named after the firmware of its controller. There are: grbl" in " ".join(errors.split())
 
 
 @pytest.mark.long(shown_by="test_a_dump_of_settings_becomes_a_project_in_spec")

@@ -43,16 +43,16 @@ def test_keys_are_named_once_where_there_are_any(
 def test_keys_override_the_feed_in_steps_and_never_stop(
     keys: str, percent: int, asked: int | None, message: str, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    said = pressed(keys, percent, "", asked, capfd)
-    assert message in said
-    assert (f"feed {percent} %" in said) is (percent != 100)  # the override in force
+    text = pressed(keys, percent, "", asked, capfd)
+    assert message in text
+    assert (f"feed {percent} %" in text) is (percent != 100)  # the override in force
 
 
 def test_an_override_that_would_spoil_the_work_is_refused_at_the_key(
     capfd: pytest.CaptureFixture[str],
 ) -> None:
-    said = pressed("-", 100, "at 50 % its loads would shake", None, capfd)
-    assert "the feed of this run cannot be overridden: at 50 % its loads would shake" in said
+    message = pressed("-", 100, "at 50 % its loads would shake", None, capfd)
+    assert "the feed of this run cannot be overridden: at 50 % its loads would shake" in message
 
 
 def pressed(

@@ -97,8 +97,8 @@ def test_a_doubted_ratio_is_that_of_the_named_eigenvalue(
 ) -> None:
     """The printed eigenvalue has the mode's modulus and the printed ratio."""
     _, out, _ = run(capsys, "shaper", "--mode", "0.1Hz", "--damping", "0.1", "--json")
-    (said,) = json.loads(out)["warnings"]
-    found = re.search(r"eigenvalue (\S+) \+- (\S+)j 1/s has the ratio (\S+),", said)
+    (warning,) = json.loads(out)["warnings"]
+    found = re.search(r"eigenvalue (\S+) \+- (\S+)j 1/s has the ratio (\S+),", warning)
     assert found is not None
     eigenvalue = complex(float(found[1]), float(found[2]))
     # Both are printed to four digits.
@@ -264,6 +264,10 @@ def test_x_and_y_of_a_printer_have_a_mode_each(capsys: pytest.CaptureFixture[str
             [line for line in out.splitlines() if re.match(r"(\[|[a-z_]+_[xy]:)", line)]
         )
     of_x, of_y, both = sections
-    wanted = ["[input_shaper]", *(w for w in of_x if "_x:" in w), *(w for w in of_y if "_y:" in w)]
-    assert both == wanted
+    expected = [
+        "[input_shaper]",
+        *(w for w in of_x if "_x:" in w),
+        *(w for w in of_y if "_y:" in w),
+    ]
+    assert both == expected
     assert len(both) == 7

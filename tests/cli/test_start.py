@@ -39,17 +39,17 @@ def run(code: str) -> subprocess.CompletedProcess[str]:
 
 
 @pytest.mark.parametrize(
-    ("signal", "status", "said"),
+    ("signal", "status", "message"),
     [("SIGINT", 130, "interrupted"), ("SIGTERM", 143, "terminated"), ("SIGHUP", 129, "hung up")],
 )
 @pytest.mark.parametrize("name", ["typer", "threadline.cli.law", "numpy"])
 def test_an_interrupt_while_importing_is_one_line(
-    name: str, signal: str, status: int, said: str
+    name: str, signal: str, status: int, message: str
 ) -> None:
     """While the command line, a command, or a package that the command needs is imported."""
     done = run(INTERRUPTING.format(name=name, signal=signal))
     assert (done.returncode, done.stdout) == (status, "")
-    assert done.stderr == f"error: {said}; nothing was left half-written\n"
+    assert done.stderr == f"error: {message}; nothing was left half-written\n"
 
 
 @pytest.mark.parametrize("name", ["typer", "threadline.cli.law"])
@@ -115,9 +115,9 @@ def test_an_interrupt_that_a_call_of_machine_code_drops_is_answered(name: str, t
         "sys.argv = ['threadline', 'law', 'cubic']\n"
         "start.run()\n"
     )
-    status, said = {"SIGINT": (130, "interrupted"), "SIGTERM": (143, "terminated")}[name]
+    status, reason = {"SIGINT": (130, "interrupted"), "SIGTERM": (143, "terminated")}[name]
     assert (done.returncode, done.stdout) == (status, "")
-    assert done.stderr == f"error: {said}; nothing was left half-written\n"
+    assert done.stderr == f"error: {reason}; nothing was left half-written\n"
 
 
 def test_help_imports_nothing_heavy() -> None:

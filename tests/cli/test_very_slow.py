@@ -21,18 +21,18 @@ def proved(machine: str, interpolation: str) -> object:
 
 
 @pytest.mark.parametrize(
-    ("interpolation", "said"),
+    ("interpolation", "message"),
     [
         ("auto", r"planning, 10\.\d+ s of motion so far"),
         ("optimal", r"planning, motion of 10\.\d+ s, time \d+ of at most 16"),
     ],
 )
-def test_progress_of_planning_is_printed(interpolation: str, said: str) -> None:
+def test_progress_of_planning_is_printed(interpolation: str, message: str) -> None:
     """The program takes 10 s at its feed."""
     PLANNING.reach(0.0)
     assert Telling(stage="planning").doing() == "planning"
     proved("lathe-winder", interpolation)
-    assert re.fullmatch(said, Telling(stage="planning").doing())
+    assert re.fullmatch(message, Telling(stage="planning").doing())
     assert Telling(stage="searching").doing() == "searching"
 
 
@@ -56,9 +56,9 @@ def test_the_share_of_a_program_that_is_written_only_grows(
         main(["compile", X_180, "-m", "lathe-winder", *out])
     assert ended.value.code == 0
     assert shares == sorted(shares) and shares[0] < 0.2 and shares[-1] >= 0.4
-    said = r"writing and reading back, \d+ % done"
-    assert re.match(said, reports[0])
-    assert any(re.fullmatch(f"{said}, about .* more", one) for one in reports)
+    message = r"writing and reading back, \d+ % done"
+    assert re.match(message, reports[0])
+    assert any(re.fullmatch(f"{message}, about .* more", one) for one in reports)
 
 
 def test_a_jerk_that_takes_ages_is_named(

@@ -135,7 +135,7 @@ REQUIRED = '[[criteria]]\nname = "{}"\nlimit = "0.1 mm"\nrequired = {}\n'
 
 
 @pytest.mark.parametrize(
-    ("name", "required", "status", "said"),
+    ("name", "required", "status", "message"),
     [
         # It compares many runs of one machine: a yield has one run of each.
         ("repeatability", "true", 2, "repeatability is required and compares runs of one machine"),
@@ -149,7 +149,7 @@ def test_yield_lists_required_criteria_without_a_measurement(
     name: str,
     required: str,
     status: int,
-    said: str,
+    message: str,
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
@@ -163,7 +163,7 @@ def test_yield_lists_required_criteria_without_a_measurement(
         main(["yield", str(job), "-m", "lathe-winder", "-s", str(spec), "--variants", "4"])
     output = capsys.readouterr()
     assert ended.value.code == status
-    assert said in " ".join((output.out + output.err).split())
+    assert message in " ".join((output.out + output.err).split())
     rows = [line.split() for line in output.out.splitlines() if line.split()[:1] == ["seam_error"]]
     assert rows == ([["seam_error", "-", "-", "-", "0.1", "mm", "4"]] if status == 1 else [])
 

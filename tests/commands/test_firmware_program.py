@@ -91,8 +91,8 @@ def test_a_straight_line_is_one_block(tmp_path: Path, xya: Machine, target: str)
     assert len(found) == 2
     (facts,) = [fact for fact in file.facts if "corners are cut" in fact]
     cut_mm = 30.0 - found[0][0]["X"]
-    told_mm = float(facts.split(" by up to ")[1].split(" mm")[0])
-    assert 0.0 < told_mm == pytest.approx(cut_mm, abs=0.006)
+    shown_mm = float(facts.split(" by up to ")[1].split(" mm")[0])
+    assert 0.0 < shown_mm == pytest.approx(cut_mm, abs=0.006)
     assert max(map(len, out.read_text().splitlines())) < 80
     assert f"{len(found)} blocks, read back" in file.warnings[0]
     text = out.read_text()
@@ -200,9 +200,9 @@ def test_the_command_says_what_it_wrote(
     with pytest.raises(SystemExit) as stopped:
         main(["compile", str(examples / "x-180.prg"), "-m", "lathe-winder", "--target", "grbl",
               "-o", str(out)])  # fmt: skip
-    said = capsys.readouterr()
-    assert not stopped.value.code, said.err
-    assert "blocks, read back: within" in said.err
+    captured = capsys.readouterr()
+    assert not stopped.value.code, captured.err
+    assert "blocks, read back: within" in captured.err
     assert len(out.read_text().splitlines()) < 60
     assert load_machine("lathe-winder").axes["X"].kind == "linear"
 
@@ -219,21 +219,21 @@ def test_klipper_gets_the_shaper_of_each_mode(tmp_path: Path) -> None:
     out = tmp_path / "out.gcode"
     write(made, "klipper", out)
     head = [line[2:] for line in out.read_text().splitlines() if line.startswith("; ")]
-    said = dict(line.split(": ") for line in head if line.startswith(("shaper_", "damping_")))
-    hz, zeta = float(said["shaper_freq_x"]), float(said["damping_ratio_x"])
+    values = dict(line.split(": ") for line in head if line.startswith(("shaper_", "damping_")))
+    hz, zeta = float(values["shaper_freq_x"]), float(values["damping_ratio_x"])
     assert hz == pytest.approx(math.sqrt(60e3 / 1.2) / (2.0 * math.pi), rel=1e-3)
     assert zeta == pytest.approx(33.0 / (2.0 * math.sqrt(60e3 * 1.2)), rel=1e-3)
     assert head.index("[input_shaper]") < len(head) - 3
-    assert not any(key.endswith(("_a", "_y")) for key in said)
+    assert not any(key.endswith(("_a", "_y")) for key in values)
     mode = FlexibleMode(frequency_hz=hz, damping_ratio=zeta)
-    train = klipper_impulses(said["shaper_type_x"], mode)
+    train = klipper_impulses(values["shaper_type_x"], mode)
     for f in hz * np.linspace(0.9, 1.1, 41):
         w = 2.0 * math.pi * f
         decayed = train.amplitudes * np.exp(-zeta * w * (train.times_s[-1] - train.times_s))
         turned = np.exp(1j * w * math.sqrt(1.0 - zeta**2) * train.times_s)
         assert abs((decayed * turned).sum()) <= 0.0501
     zv = klipper_impulses("zv", mode)
-    assert (zv.times_s[-1] < train.times_s[-1]) == (said["shaper_type_x"] != "zv")
+    assert (zv.times_s[-1] < train.times_s[-1]) == (values["shaper_type_x"] != "zv")
 
 
 def left(train: Shaper, hz: float, zeta: float) -> float:
@@ -264,16 +264,16 @@ def test_marlin_gets_the_damped_frequency(tmp_path: Path) -> None:
     machine = load_machine("stepper-winder")
     head = head_of(tmp_path, machine, "marlin")
     (command,) = (line for line in head if line.startswith("M593"))
-    said = words_of(command)
+    values = words_of(command)
     zeta = 33.0 / (2.0 * math.sqrt(60e3 * 1.2))
     hz = math.sqrt(60e3 / 1.2) / (2.0 * math.pi)
     assert command.startswith("M593 X F")
-    assert said["D"] == pytest.approx(zeta, rel=1e-3)
-    assert said["F"] == pytest.approx(hz * math.sqrt(1.0 - zeta**2), rel=1e-4)
-    train = marlin_impulses(said["F"], said["D"])
+    assert values["D"] == pytest.approx(zeta, rel=1e-3)
+    assert values["F"] == pytest.approx(hz * math.sqrt(1.0 - zeta**2), rel=1e-4)
+    train = marlin_impulses(values["F"], values["D"])
     decay = math.exp(-math.pi * zeta / math.sqrt(1.0 - zeta**2))
     assert train.amplitudes == pytest.approx([1 / (1 + decay), decay / (1 + decay)], abs=1 / 128)
-    assert train.times_s.tolist() == [0.0, 0.5 / said["F"]]
+    assert train.times_s.tolist() == [0.0, 0.5 / values["F"]]
     assert left(train, hz, zeta) < 0.01
     (comment,) = (line for line in head if "Marlin's ZV leaves" in line)
     off = max(left(train, f, zeta) for f in hz * np.linspace(0.9, 1.1, 41))
@@ -291,7 +291,7 @@ def test_reprapfirmware_gets_one_shaper_for_all(tmp_path: Path) -> None:
     machine = load_machine("stepper-winder")
     head = head_of(tmp_path, machine, "reprapfirmware")
     (command,) = (line for line in head if line.startswith("M593"))
-    name, said = command.split('"')[1], words_of(command.split('"')[2])
+    name, values = command.split('"')[1], words_of(command.split('"')[2])
     modes = [
         [float(number) for number in re.findall(r"[\d.]+(?= Hz)|(?<=ratio )[\d.]+", line)]
         for line in head
@@ -300,16 +300,16 @@ def test_reprapfirmware_gets_one_shaper_for_all(tmp_path: Path) -> None:
     zeta = 33.0 / (2.0 * math.sqrt(60e3 * 1.2))
     hz = math.sqrt(60e3 / 1.2) / (2.0 * math.pi)
     assert len(modes) == 2 and max(modes) == pytest.approx([hz, zeta], rel=1e-3)
-    assert min(f for f, _ in modes) <= said["F"] <= max(f for f, _ in modes)
+    assert min(f for f, _ in modes) <= values["F"] <= max(f for f, _ in modes)
 
     def most(train: Shaper) -> float:
         return max(left(train, f * k, z) for f, z in modes for k in np.linspace(0.9, 1.1, 41))
 
-    chosen = reprap_impulses(name, said["F"], said["S"])
+    chosen = reprap_impulses(name, values["F"], values["S"])
     assert most(chosen) <= 0.0501
     for other in TYPES:
         for f in np.linspace(min(f for f, _ in modes), max(f for f, _ in modes), 9):
-            train = reprap_impulses(other, f, said["S"])
+            train = reprap_impulses(other, f, values["S"])
             assert train.times_s[-1] > 0.999 * chosen.times_s[-1] or most(train) > 0.0499
     root = math.sqrt(1.0 - zeta**2)
     k = math.exp(-math.pi * zeta / root)
@@ -397,7 +397,7 @@ def test_a_plan_is_read_once_for_all_passes(
     monkeypatch.setattr(merged_chords, "planned_runs", counted)
     write(made, "grbl", tmp_path / "once.nc")
     assert len(reads) == 1
-    monkeypatch.setattr(merged_chords, "MOST_KEPT", 10)
+    monkeypatch.setattr(merged_chords, "MOST_CACHED", 10)
     write(made, "grbl", tmp_path / "again.nc")
     assert len(reads) > 2
     assert (tmp_path / "once.nc").read_bytes() == (tmp_path / "again.nc").read_bytes()

@@ -31,7 +31,7 @@ from threadline.machine import load_machine
 MACHINE = load_machine("lathe-winder")
 
 
-def said(operation: Operation) -> tuple[object, ...]:
+def words_of(operation: Operation) -> tuple[object, ...]:
     """Return the content of an operation without its place."""
     if isinstance(operation, Move):
         return ("move", operation.target, operation.feed, dict(operation.tags))
@@ -97,7 +97,7 @@ def test_read_write_read_is_the_identity(
     write_part_program(first, MACHINE, folder / "b.nc", subroutines=subroutines)
     second = read_job(folder / "b.nc", MACHINE)
 
-    assert [said(op) for op in second] == [said(op) for op in first]
+    assert [words_of(op) for op in second] == [words_of(op) for op in first]
 
 
 def test_subroutines_come_back_as_calls(tmp_path: Path, examples: Path) -> None:
@@ -121,7 +121,7 @@ def test_other_meanings_of_f_come_back_too(tmp_path: Path, examples: Path, mode:
     write_part_program(job, MACHINE, tmp_path / "b.prg")
     again = read_job(tmp_path / "b.prg", MACHINE, **options)
 
-    assert [said(op) for op in again] == [said(op) for op in job]
+    assert [words_of(op) for op in again] == [words_of(op) for op in job]
     assert next(iter(again)).feed == Feed(mode, 0.2, options["base_axes"])  # type: ignore[union-attr]
 
 
@@ -145,8 +145,8 @@ def test_any_position_is_written_to_the_last_digit(
     move = next(iter(read_job(path, MACHINE)))
 
     assert isinstance(move, Move)
-    for got, wanted in zip(move.target, (radians, metres, 0.0), strict=True):
-        assert abs(got - wanted) <= 2 * math.ulp(wanted) + 1e-17
+    for got, expected in zip(move.target, (radians, metres, 0.0), strict=True):
+        assert abs(got - expected) <= 2 * math.ulp(expected) + 1e-17
 
 
 def test_operation_without_a_word_in_part_programs_is_refused(tmp_path: Path) -> None:
@@ -215,9 +215,9 @@ def test_bodies_that_are_held_together_are_not_too_long() -> None:
 def test_passes_whose_times_differ_by_rounding_alone_are_one_loop() -> None:
     """Two units in the ninth digit, no more."""
     (one,) = passes(1, "X1", feed=10**18)
-    for digits, wanted in ((2, [2]), (3, [1, 1])):
+    for digits, expected in ((2, [2]), (3, [1, 1])):
         other = one._replace(feed=10**18 + digits * 10**10, passes=(2,))
-        assert written([one, other]) == wanted
+        assert written([one, other]) == expected
 
 
 def test_each_call_stays_a_call_with_its_own_count(tmp_path: Path) -> None:
@@ -261,21 +261,21 @@ def test_fanuc_has_as_many_subprograms_as_four_digits_leave(
     st.sampled_from([Fraction(1), Fraction(1000), Fraction(60), None]),
 )
 def test_the_shortest_number_is_that_of_every_count_of_decimals(
-    wanted: float, factor: Fraction | None
+    expected: float, factor: Fraction | None
 ) -> None:
     """Python's own decimals are the reference."""
 
     def read(value: int) -> float:
         return math.radians(value / 10**18) if factor is None else value / (10**18 * int(factor))
 
-    found = shortest(wanted, factor, read)
-    approximate = math.degrees(wanted) if factor is None else wanted * float(factor)
+    found = shortest(expected, factor, read)
+    approximate = math.degrees(expected) if factor is None else expected * float(factor)
     for decimals in range(17):
         value = int(Decimal(f"{approximate:.{decimals}f}") * 10**18)
-        if read(value) == wanted:
+        if read(value) == expected:
             assert found == value
             return
-    assert abs(read(found) - wanted) <= max(2e-17, 2 * math.ulp(wanted))
+    assert abs(read(found) - expected) <= max(2e-17, 2 * math.ulp(expected))
 
 
 def test_decimals_that_cannot_read_back_are_not_tried() -> None:

@@ -62,10 +62,10 @@ def test_rates_are_the_published_ones(tables: tuple[StepTable, ...]) -> None:
 def test_positions_follow_the_law_within_a_step(tables: tuple[StepTable, ...]) -> None:
     t = np.linspace(0.0, float(WINDOW), 10_001)
     for table in (tables[4], tables[164]):
-        wanted = table.units * 1e-4 * law("modified-sine")(t / float(WINDOW))
+        expected = table.units * 1e-4 * law("modified-sine")(t / float(WINDOW))
         found = STEP_M * np.searchsorted(table.times * float(TIMER), t, side="right")
-        assert np.all(found <= wanted + 1e-2 * STEP_M)
-        assert np.all(found >= wanted - 1.01 * STEP_M)
+        assert np.all(found <= expected + 1e-2 * STEP_M)
+        assert np.all(found >= expected - 1.01 * STEP_M)
 
 
 @pytest.mark.parametrize("frequency", [8.0, 12.0, 20.0])
@@ -96,7 +96,7 @@ def test_any_monotone_law_and_no_other() -> None:
 
 
 @pytest.mark.parametrize(
-    ("changed", "said"),
+    ("changed", "message"),
     [
         ({"timer_s": Fraction(1, 100_000)}, "fall into one period of the timer of 10 us"),
         ({"window_s": Fraction(0)}, "the window must be positive"),
@@ -104,6 +104,8 @@ def test_any_monotone_law_and_no_other() -> None:
         ({"longest_units": 10_000_000}, "limit 50000000"),
     ],
 )
-def test_step_table_beyond_the_controller_is_refused(changed: dict[str, object], said: str) -> None:
-    with pytest.raises(PlanError, match=said):
+def test_step_table_beyond_the_controller_is_refused(
+    changed: dict[str, object], message: str
+) -> None:
+    with pytest.raises(PlanError, match=message):
         step_tables(law("modified-sine"), **({"timer_s": TIMER} | FRAME | changed))

@@ -112,9 +112,9 @@ def test_each_way_is_gone_in_the_modes_of_the_program(
     """Travel stays G0, and power and coolant change at their places, within the tolerance."""
     near_mm = 3.0 if interpolation == "b-spline" else NEAR_MM  # which has no tolerance
     out = compiled(tmp_path, machines["grbl"], text, "grbl", interpolation=interpolation)
-    wanted, found = stretches(text), stretches(out)
-    assert [modes for modes, _, _ in found] == [modes for modes, _, _ in wanted]
-    for (_, begin, end), (_, begun, ended) in zip(wanted, found, strict=True):
+    expected, found = stretches(text), stretches(out)
+    assert [modes for modes, _, _ in found] == [modes for modes, _, _ in expected]
+    for (_, begin, end), (_, begun, ended) in zip(expected, found, strict=True):
         assert np.linalg.norm(begin - begun) <= near_mm
         assert np.linalg.norm(end - ended) <= near_mm
 
@@ -135,9 +135,9 @@ def test_random_programs_keep_their_modes(tmp_path: Path, machines: dict[str, Ma
             lines.append(f"G{chance.randint(0, 1)} {way}{beside}")
         text = "\n".join(lines) + "\n"
         out = compiled(tmp_path, machines["grbl"], text, "grbl")
-        wanted, found = stretches(text), stretches(out)
-        assert [m for m, _, _ in found] == [m for m, _, _ in wanted], (number, text, out)
-        for (_, _, end), (_, _, ended) in zip(wanted, found, strict=True):
+        expected, found = stretches(text), stretches(out)
+        assert [m for m, _, _ in found] == [m for m, _, _ in expected], (number, text, out)
+        for (_, _, end), (_, _, ended) in zip(expected, found, strict=True):
             assert np.linalg.norm(end - ended) <= 2.0 * NEAR_MM, (number, text, out)
 
 
@@ -194,8 +194,8 @@ def test_a_g0_with_its_planned_time_is_told_and_is_dark(
     text = "G0 X10\nM3 S300\nG1 Y10 F600\nM5\nG0 X0\nM2\n"
     (file,) = write(plan(tmp_path, machines["linuxcnc"], text), "nc", tmp_path / "out.ngc")
     assert "2 G0 are G1 with the planned time (G93)" in file.warnings[0]
-    ways = played((tmp_path / "out.ngc").read_text())
-    assert {modes[:2] for modes, _, _ in ways} == {"G1"}
+    moves = played((tmp_path / "out.ngc").read_text())
+    assert {modes[:2] for modes, _, _ in moves} == {"G1"}
     dark = plan(tmp_path, machines["linuxcnc"], "M3 S0\nG0 X9\nG1 X0 F600 S9\nM2\n")
     assert "1 G0 is a G1" in write(dark, "nc", tmp_path / "out.ngc")[0].warnings[0]
     burning = plan(tmp_path, machines["linuxcnc"], text.replace("M5\n", ""))
@@ -274,9 +274,9 @@ def test_the_command_ends_with_2_and_writes_nothing(
     machine = str(machines["klipper"].reference)
     with pytest.raises(SystemExit) as stopped:
         main(["compile", str(job), "-m", machine, "--target", "grbl", "-o", str(out)])
-    said = capsys.readouterr().err
+    errors = capsys.readouterr().err
     assert stopped.value.code == 2 and not out.exists()
-    assert "pen.gcode:3: " in said.replace("\n", "") and "M300 S30 (line 3)" in said
+    assert "pen.gcode:3: " in errors.replace("\n", "") and "M300 S30 (line 3)" in errors
 
 
 def acting(job: Job) -> list[str]:
@@ -294,7 +294,7 @@ def acting(job: Job) -> list[str]:
 
 
 @pytest.mark.parametrize(
-    ("dialect", "text", "wanted"),
+    ("dialect", "text", "expected"),
     [
         # RS274/NGC switches before it moves; a Fanuc's M5 and M9 act after the move.
         ("grbl", "G1 X5 F600 M5\nX9\n", "M5,5,9,end"),
@@ -314,12 +314,12 @@ def acting(job: Job) -> list[str]:
     ],
 )
 def test_the_reader_knows_what_a_program_works(
-    tmp_path: Path, machines: dict[str, Machine], dialect: str, text: str, wanted: str
+    tmp_path: Path, machines: dict[str, Machine], dialect: str, text: str, expected: str
 ) -> None:
     file = tmp_path / "job.nc"
     file.write_text(text)
     found = acting(read_job(file, machines[dialect]))
-    assert [re.sub(r"\.0+$", "", word) for word in found] == wanted.split(",")
+    assert [re.sub(r"\.0+$", "", word) for word in found] == expected.split(",")
 
 
 def test_words_are_events_at_their_places(tmp_path: Path, machines: dict[str, Machine]) -> None:
@@ -367,9 +367,9 @@ def test_linuxcnc_switches_where_the_program_did(
     (tmp_path / "out.nc").write_text(compiled(tmp_path, machines["linuxcnc"], text, "linuxcnc"))
 
     def calls(name: str) -> list[tuple[str, float]]:
-        said = interpreted(rs274, tmp_path / name, 300.0)
+        output = interpreted(rs274, tmp_path / name, 300.0)
         found, x = [], 0.0
-        for call, message in re.findall(r"([A-Z_]+)\(([^)]*)\)", said):
+        for call, message in re.findall(r"([A-Z_]+)\(([^)]*)\)", output):
             if call in {"STRAIGHT_TRAVERSE", "STRAIGHT_FEED"}:
                 x = float(message.split(",")[0])
             elif re.search("SPINDLE|FLOOD|OUTPUT", call):
@@ -386,9 +386,9 @@ def times_of(command: list[str], capsys: pytest.CaptureFixture[str]) -> tuple[fl
     """Return both times that a command reports for a written program."""
     with pytest.raises(SystemExit) as stopped:
         main([*command, "--json"])
-    said = capsys.readouterr()
-    assert not stopped.value.code, said.err
-    (file,) = json.loads(said.out)["files"]
+    captured = capsys.readouterr()
+    assert not stopped.value.code, captured.err
+    (file,) = json.loads(captured.out)["files"]
     return file["stands_s"], file["as_run_s"]
 
 
@@ -400,20 +400,20 @@ def test_a_program_is_not_slower_than_its_source_unless_told_to(
     job, out = tmp_path / "zigzag.gcode", tmp_path / "out.gcode"
     ends = [(5 * k, 8 * (k % 2)) for k in range(1, 9)]
     job.write_text("G1 F9000\n" + "".join(f"G1 X{x} Y{y}\n" for x, y in ends))
-    wanted = ["compile", str(job), "-m", machine, "--target", "klipper", "-o", str(out)]
+    expected = ["compile", str(job), "-m", machine, "--target", "klipper", "-o", str(out)]
     with pytest.raises(SystemExit) as stopped:
-        main([*wanted, "--limits", "10 %"])
-    said = " ".join(capsys.readouterr().err.split())
-    match = re.search(r"takes ([\d.]+) s over it, and ([\d.]+) s over zigzag.gcode", said)
+        main([*expected, "--limits", "10 %"])
+    errors = " ".join(capsys.readouterr().err.split())
+    match = re.search(r"takes ([\d.]+) s over it, and ([\d.]+) s over zigzag.gcode", errors)
     assert stopped.value.code == 2 and not out.exists() and match is not None
-    assert float(match[1]) > 1.2 * float(match[2]) and "--slower" in said
-    slow = times_of([*wanted, "--limits", "10 %", "--slower"], capsys)
+    assert float(match[1]) > 1.2 * float(match[2]) and "--slower" in errors
+    slow = times_of([*expected, "--limits", "10 %", "--slower"], capsys)
     assert out.exists()
     assert slow == pytest.approx((float(match[2]), float(match[1])), rel=1e-4)
     with pytest.raises(SystemExit):
-        main([*wanted, "--limits", "10 %", "--feed", "F 6000"])
+        main([*expected, "--limits", "10 %", "--feed", "F 6000"])
     assert "s over zigzag.gcode at the same feed" in " ".join(capsys.readouterr().err.split())
-    stands_s, as_run_s = times_of(wanted, capsys)
+    stands_s, as_run_s = times_of(expected, capsys)
     assert stands_s == slow[0] and as_run_s <= 1.001 * stands_s
 
 
@@ -431,8 +431,8 @@ def test_compare_shows_what_the_firmware_makes_of_the_program(
     with pytest.raises(SystemExit):
         main([*asked, "--json", "--no-fastest"])
     found = [proof["as_run_s"] for proof in json.loads(capsys.readouterr().out)["proofs"]]
-    wanted = ["compile", str(job), "-m", machine, "--target", "klipper", "-o", out]
-    assert found == [*reversed(times_of(wanted, capsys))]
+    expected = ["compile", str(job), "-m", machine, "--target", "klipper", "-o", out]
+    assert found == [*reversed(times_of(expected, capsys))]
     with pytest.raises(SystemExit):
         main([*asked, "--no-fastest"])
     assert "as run s" in capsys.readouterr().out

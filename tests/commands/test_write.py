@@ -55,11 +55,11 @@ def test_tables_hold_the_commands(tmp_path, target) -> None:
     (done,) = write(plan, target, path)
     assert done.path == path
     assert done.sha256 == hashlib.sha256(path.read_bytes()).hexdigest()
-    read, wanted = list(read_table(path)), list(plan.commands)
+    read, expected = list(read_table(path)), list(plan.commands)
     assert np.array_equal(
-        np.concatenate([b.counts for b in read]), np.concatenate([b.counts for b in wanted])
+        np.concatenate([b.counts for b in read]), np.concatenate([b.counts for b in expected])
     )
-    assert [e for b in read for e in b.events] == [e for b in wanted for e in b.events]
+    assert [e for b in read for e in b.events] == [e for b in expected for e in b.events]
     assert read_table(path).job_sha256 == plan.job.sha256
     assert write(plan, target, str(path))[0].sha256 == done.sha256
     assert table_writer(target)(plan.commands, path).sha256 == done.sha256
@@ -150,9 +150,9 @@ def test_our_own_reader_takes_the_part_program(tmp_path) -> None:
     text = re.sub(r"N\d+ G64 P0\.01\n", "", (tmp_path / "out.prg").read_text())
     (tmp_path / "out.prg").write_text(text)
     read = list(read_job(tmp_path / "out.prg", plan.machine))
-    wanted = list(planned_job(plan.job, plan.motion.trajectory, plan.machine))
-    assert [type(o) for o in read] == [type(o) for o in wanted]
-    for ours, theirs in zip(read, wanted, strict=True):
+    expected = list(planned_job(plan.job, plan.motion.trajectory, plan.machine))
+    assert [type(o) for o in read] == [type(o) for o in expected]
+    for ours, theirs in zip(read, expected, strict=True):
         if isinstance(ours, Move):
             assert ours.target[1] == pytest.approx(theirs.target[0], abs=1e-12)
             assert ours.feed.value == pytest.approx(theirs.feed.value, rel=1e-9)

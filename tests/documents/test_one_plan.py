@@ -49,14 +49,14 @@ def plan_of(asked: Asked) -> Plan:
 def planned_once(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """Make a plan once for all who request the same."""
     monkeypatch.chdir(ROOT)
-    monkeypatch.setattr(pipeline, "plan_job", lambda *told: plan_of(Asked(*told)))
+    monkeypatch.setattr(pipeline, "plan_job", lambda *arguments: plan_of(Asked(*arguments)))
     yield
     assert plan_of.cache_info().currsize == 1  # they did request the same
 
 
-def word_and_error_mm(said: str) -> tuple[str, float]:
+def word_and_error_mm(message: str) -> tuple[str, float]:
     """Return the level of the answer, and the error printed below it."""
-    first, second, *_ = said.splitlines()
+    first, second, *_ = message.splitlines()
     return first, float(second.split()[2])
 
 

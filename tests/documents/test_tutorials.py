@@ -43,17 +43,19 @@ def answer(words: list[str], status: int, capsys: pytest.CaptureFixture[str]) ->
     return output.out + output.err
 
 
-def shows(page: str, said: str) -> bool:
+def shows(page: str, message: str) -> bool:
     """Return whether a line of a page is the beginning of a printed line."""
-    wanted, found = page.split(), said.split()
-    return len(wanted) <= len(found) and all(map(same, wanted, found))
+    expected, found = page.split(), message.split()
+    return len(expected) <= len(found) and all(map(same, expected, found))
 
 
-def same(wanted: str, found: str) -> bool:
+def same(expected: str, found: str) -> bool:
     """Return whether words agree: numbers to one in the last digit, others except for a comma."""
-    if NUMBER.fullmatch(wanted) and NUMBER.fullmatch(found):
-        return abs(float(wanted) - float(found)) <= 1.01 * 10.0 ** -len(wanted.partition(".")[2])
-    return wanted.rstrip(",;") == found.rstrip(",;")
+    if NUMBER.fullmatch(expected) and NUMBER.fullmatch(found):
+        return abs(float(expected) - float(found)) <= 1.01 * 10.0 ** -len(
+            expected.partition(".")[2]
+        )
+    return expected.rstrip(",;") == found.rstrip(",;")
 
 
 @pytest.mark.long(but="winder")
@@ -69,15 +71,15 @@ def test_a_tutorial_runs_and_shows_what_its_commands_answer(
     (tmp_path / "examples").symlink_to(ROOT / "examples")
     blank_pictures(monkeypatch)
     verbs: list[str] = []
-    said = ""
+    message = ""
     for kind, block in FENCE.findall(page.read_text(encoding="utf-8")):
         if kind == "sh":
             commands = commands_of(block)
             verbs += [words[0] for words, _ in commands]
-            said = "\n".join(answer(words, status, capsys) for words, status in commands)
+            message = "\n".join(answer(words, status, capsys) for words, status in commands)
         elif kind == "text":
             for line in block.splitlines():
-                assert any(shows(line, other) for other in said.splitlines()), (line, said)
+                assert any(shows(line, other) for other in message.splitlines()), (line, message)
     assert "run" in verbs
 
 

@@ -214,8 +214,8 @@ def follow(inverse: Inverse, motion: Motion, time_s: FloatArray) -> Followed:
         no derivative jumps between two of them.
     """
     t = np.asarray(time_s, dtype=np.float64)
-    ladder = np.stack([motion(t, order) for order in range(inverse.degree + 1)], axis=1)
-    return inverse.outputs(t, ladder, _inner(inverse, motion, t), float(ladder[0, 0]))
+    derivatives = np.stack([motion(t, order) for order in range(inverse.degree + 1)], axis=1)
+    return inverse.outputs(t, derivatives, _inner(inverse, motion, t), float(derivatives[0, 0]))
 
 
 def _inner(inverse: Inverse, motion: Motion, t: FloatArray) -> FloatArray:
@@ -229,9 +229,9 @@ def _inner(inverse: Inverse, motion: Motion, t: FloatArray) -> FloatArray:
     push = np.zeros((len(t) - 1, len(inverse.Q)))
     for at, parabola in zip(_GAUSS_AT, _GAUSS_BASIS, strict=True):
         times = t[:-1] + at * step
-        ladder = np.stack([motion(times, order) for order in range(inverse.degree)], axis=1)
-        ladder[:, 0] -= first
-        push += ladder @ inverse.R.T @ np.tensordot(parabola, moments, axes=1).T
+        derivatives = np.stack([motion(times, order) for order in range(inverse.degree)], axis=1)
+        derivatives[:, 0] -= first
+        push += derivatives @ inverse.R.T @ np.tensordot(parabola, moments, axes=1).T
     for k in range(len(t) - 1):
         inner[k + 1] = decay @ inner[k] + push[k]
     return inner
@@ -289,12 +289,12 @@ def feed_forward(
     levels = Levels(digital.numerator, skips=controller.dac.zero_on_reversal)
     volts = levels.feed(np.append(driven.volts, np.repeat(driven.volts[-1:], AHEAD)))
     error = lfilter(digital.denominator, digital.numerator, volts)
-    wanted = (sensed.measured_counts + error) / loop.counts_per_unit
+    expected = (sensed.measured_counts + error) / loop.counts_per_unit
     rows = int(np.floor((ticks[-1] - held - begin) / step)) + 1
     due = begin + step * np.arange(rows)
     limit = machine.drive_of(axis).amplifier.current_limit
     return FeedForward(
-        reference_si=np.interp(due + held, ticks, wanted),
+        reference_si=np.interp(due + held, ticks, expected),
         start_s=begin,
         period_s=step,
         followed=driven,

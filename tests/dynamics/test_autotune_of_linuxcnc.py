@@ -66,7 +66,7 @@ show pin pid.0
 
 
 @pytest.fixture(autouse=True)
-def alone(monkeypatch):
+def hal_lock(monkeypatch):
     with hal_alone(monkeypatch):
         yield
 
@@ -76,22 +76,22 @@ def tuned_by_linuxcnc(folder: Path) -> dict[str, float]:
         if parent.name.startswith(("pytest", "popen", "test_")):
             parent.chmod(0o755)
     for seconds in (8, 24):  # sixty half periods are four seconds on an idle computer
-        file, said = folder / "autotune.hal", folder / "said.txt"
+        file, log = folder / "autotune.hal", folder / "said.txt"
         file.write_text(HAL.replace("SECONDS", str(seconds)))
         file.chmod(0o644)
         words = ["timeout", "-k", "2", str(seconds + 20), "halrun", "-f", str(file)]
         place = Path("/tmp") / f"threadline-hal-{os.geteuid() or 65534}"
-        with said.open("w") as stream:  # HAL's children would keep a pipe open
+        with log.open("w") as stream:  # HAL's children would keep a pipe open
             subprocess.run(
                 [*as_user(), "env", f"RTAPI_FIFO_PATH={place}", *words],
                 cwd="/", stdin=subprocess.DEVNULL, stdout=stream, stderr=stream, check=False,
             )  # fmt: skip
-        found = re.findall(r"(\S+)\s+pid\.0\.([\w-]+)", said.read_text())
+        found = re.findall(r"(\S+)\s+pid\.0\.([\w-]+)", log.read_text())
         pins = {name: value for value, name in found}
         if pins.get("tune-start") == "FALSE":
             names = ("Pgain", "Igain", "Dgain", "ultimate-gain", "ultimate-period")
             return {name: float(pins[name]) for name in names}
-    raise AssertionError(said.read_text()[-2000:])
+    raise AssertionError(log.read_text()[-2000:])
 
 
 def test_ultimate_gain_and_rule_agree_with_linuxcnc_autotune(tmp_path):

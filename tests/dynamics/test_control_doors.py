@@ -36,7 +36,7 @@ def test_python_and_the_command_write_the_same_machine(tmp_path, capsys, monkeyp
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("words", "message"),
     [
         (["--design", "lqg", "--ahead", "9"], "--ahead is for the design preview, not for lqg"),
         (["--design", "lqg", "--axes", "X,Y"], "--axes is for the design cross-coupled"),
@@ -45,10 +45,10 @@ def test_python_and_the_command_write_the_same_machine(tmp_path, capsys, monkeyp
         (["--design", "cross-coupled", "--sensors", "x_pot"], "--sensors is for the design lqg"),
     ],
 )
-def test_an_option_of_another_design_is_refused(tmp_path, capsys, words, said):
+def test_an_option_of_another_design_is_refused(tmp_path, capsys, words, message):
     file = tmp_path / "no.toml"
     assert status("control", "stitcher", *words, "-o", str(file)) == 2
-    assert said in capsys.readouterr().err.replace("\n", " ")
+    assert message in capsys.readouterr().err.replace("\n", " ")
     assert not file.exists()
 
 

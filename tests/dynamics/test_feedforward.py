@@ -190,7 +190,7 @@ def test_shared_bodies_and_undamped_frames_are_refused(tmp_path):
         inverse_of(load_machine(str(file)), "X")
 
 
-def test_ladder_of_references_rises_with_the_motion():
+def test_references_and_their_derivatives_rise_with_the_motion():
     """A rigid winder axis: the inverse is J y'' + B y' by hand, in volts."""
     machine = load_machine("lathe-winder")
     motion = smooth_motion(*trapezoid(0.05, 0.1, 1.0), np.array([0.05, 0.05]))

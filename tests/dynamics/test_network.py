@@ -239,8 +239,8 @@ voltage_limit = "9 V exact, assumed"
         for one, other in zip(ours.elements, theirs.elements, strict=True):
             for mode, like in zip(one.modes, other.modes, strict=True):
                 np.testing.assert_array_equal(mode.law, like.law)
-    said = "1.3 ms for each ampere at 9 V, is not simulated"
-    assert [any(said in one for one in plausibility_warnings(machine)) for machine in made] == [
+    message = "1.3 ms for each ampere at 9 V, is not simulated"
+    assert [any(message in one for one in plausibility_warnings(machine)) for machine in made] == [
         True,
         False,
     ]

@@ -40,11 +40,11 @@ def test_runs_give_what_the_whole_gives(axis, run):
             begin + preview.ahead if begin else 0, begin + len(t) + preview.ahead
         )
         assert acts[-1] == pytest.approx(t[-1] + ahead_s)
-        ladders = [
+        derivatives = [
             np.stack([motion(at, order) for order in range(preview.orders)], axis=1)
             for at in (t, acts + timing.early_s)
         ]
-        reports.append(preview.feed(t, *ladders))
+        reports.append(preview.feed(t, *derivatives))
     due = whole.start_s + 1e-3 * np.arange(int(count * timing.tick_s / 1e-3) - 1)
     reference = np.interp(due + timing.held_s, ticks, np.concatenate(reports))
     # 1 nm: two ways to integrate the frame, of fourth and of sixth order.

@@ -117,14 +117,14 @@ def test_no_machine_rings_more_than_is_said(stops):
 def test_the_answer_is_the_same_wherever_the_programs_begin():
     """With the instants that bound other machines, another start or a stop, or without any."""
     for stops in ((False,), (False, True)):
-        alone = found_for((1.0, 0.7, 1.4), *stops)
+        single = found_for((1.0, 0.7, 1.4), *stops)
         led = found_for((1.0, 0.7, 1.4), *stops, near=found_for((1.0, 0.85, 1.15), True))
-        assert led.cost == pytest.approx(alone.cost, abs=2e-5)
-        assert led.error == pytest.approx(alone.error, abs=2e-4)
+        assert led.cost == pytest.approx(single.cost, abs=2e-5)
+        assert led.error == pytest.approx(single.error, abs=2e-4)
         t = np.arange(-0.2, 0.6, 2e-4)
         for factor in (1.0, 0.7, 1.4):
             np.testing.assert_allclose(
-                answer(led.weights, factor, t), answer(alone.weights, factor, t), atol=2e-3
+                answer(led.weights, factor, t), answer(single.weights, factor, t), atol=2e-3
             )
 
 

@@ -61,8 +61,8 @@ def test_gains_are_those_of_least_squares_over_a_long_horizon(ahead):
     target = np.concatenate([q * (references - np.array(free) @ x), np.zeros(horizon)])
     first = lstsq(left, target)[0][0]
     gains = [float(g[0, 0]) for g in regulator.ahead(ahead)]
-    told = [last, *known[:-1][::-1]]
-    found = -float(regulator.K[0] @ x) + sum(g * r for g, r in zip(gains, told, strict=True))
+    reordered = [last, *known[:-1][::-1]]
+    found = -float(regulator.K[0] @ x) + sum(g * r for g, r in zip(gains, reordered, strict=True))
     assert found == pytest.approx(first, rel=1e-6, abs=1e-6 * abs(regulator.K[0]) @ abs(x))
 
 
@@ -245,7 +245,7 @@ def test_the_command_writes_a_machine_that_prove_takes(tmp_path, capsys, monkeyp
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("words", "message"),
     [
         (["stitcher", "--design", "pid"], "no design 'pid'"),
         (["stepper-winder", "--design", "lqg"], "no control loops"),
@@ -258,9 +258,11 @@ def test_the_command_writes_a_machine_that_prove_takes(tmp_path, capsys, monkeyp
         (["stitcher", "--design", "cross-coupled", "--coupling", "-1"], "not between 0 and"),
     ],
 )
-def test_impossible_controller_design_is_refused_and_writes_nothing(tmp_path, capsys, words, said):
+def test_impossible_controller_design_is_refused_and_writes_nothing(
+    tmp_path, capsys, words, message
+):
     with pytest.raises(SystemExit) as stopped:
         main(["control", *words, "-o", str(tmp_path / "no.toml")])
     assert stopped.value.code == 2
-    assert said in capsys.readouterr().err.replace("\n", " ")
+    assert message in capsys.readouterr().err.replace("\n", " ")
     assert not (tmp_path / "no.toml").exists()

@@ -100,8 +100,8 @@ def test_the_ceiling_of_a_drive_is_named_beside_the_limit_of_its_axis(tmp_path) 
         "Y": f"1 m/s in the machine file, but drives.y reaches at most {turn / 62.294e3:.4g} m/s",
     }
     assert len(found) == 3
-    for text, (axis, said) in zip(found, expected.items(), strict=True):
-        assert text.startswith(f"axes.{axis}: velocity is {said}, with the full output of")
+    for text, (axis, message) in zip(found, expected.items(), strict=True):
+        assert text.startswith(f"axes.{axis}: velocity is {message}, with the full output of")
         assert "10 V" in text
 
     slower = tmp_path / "slower.toml"
@@ -115,11 +115,14 @@ def test_the_acceleration_of_a_drive_is_what_its_current_leaves() -> None:
     """The stitcher's X by hand: (J + M r^2) a / r = Kt 27 A, with no friction at rest."""
     torque = 0.5 * 27.0
     reached = torque * RATIO / (4.75e-4 + 111 * RATIO**2)
-    (said,) = [t for t in plausibility_warnings(load_machine("stitcher")) if "acceleration is" in t]
+    (warning,) = [
+        t for t in plausibility_warnings(load_machine("stitcher")) if "acceleration is" in t
+    ]
     assert (
-        f"27.74 m/s^2 in the machine file, but drives.x reaches at most {reached:.4g} m/s^2" in said
+        f"27.74 m/s^2 in the machine file, but drives.x reaches at most {reached:.4g} m/s^2"
+        in warning
     )
-    assert "current_limit of 27 A" in said
+    assert "current_limit of 27 A" in warning
 
 
 def test_current_of_a_rigid_axis_by_hand():
@@ -161,7 +164,7 @@ def test_wrong_files_are_refused(change, message, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
+    ("change", "message"),
     [
         # A slipped decimal point, four edges in a line forgotten, and a pulley of 21 teeth, not 20.
         (
@@ -179,7 +182,7 @@ def test_wrong_files_are_refused(change, message, tmp_path):
         ),
     ],
 )
-def test_counts_that_the_encoder_does_not_give_are_named(tmp_path, change, said):
+def test_counts_that_the_encoder_does_not_give_are_named(tmp_path, change, message):
     """By hand: 8000 counts a turn, 29 mm behind 6:1."""
     file = tmp_path / "mine.toml"
     file.write_text(f'base = "stitcher"\n{change}\n')
@@ -187,7 +190,7 @@ def test_counts_that_the_encoder_does_not_give_are_named(tmp_path, change, said)
     (found,) = [
         text for text in plausibility_warnings(load_machine(str(file))) if "counts is" in text
     ]
-    assert said in found
+    assert message in found
     assert not any("counts is" in text for text in before)
 
 

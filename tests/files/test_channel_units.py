@@ -54,7 +54,7 @@ def test_units_are_applied(tmp_path: Path, ending, kind, unit, si, factor) -> No
 
 @pytest.mark.parametrize("ending", ["npz", "csv"])
 @pytest.mark.parametrize(
-    ("kind", "unit", "wanted"),
+    ("kind", "unit", "expected"),
     [
         (ChannelKind.LOAD, "V", "m or rad"),
         (ChannelKind.LOAD, "", "m or rad"),
@@ -66,8 +66,8 @@ def test_units_are_applied(tmp_path: Path, ending, kind, unit, si, factor) -> No
         (ChannelKind.OPERATION, "mm", "no unit"),
     ],
 )
-def test_units_of_another_kind_are_refused(tmp_path: Path, ending, kind, unit, wanted) -> None:
-    with pytest.raises(RecordingError, match=wanted) as caught:
+def test_units_of_another_kind_are_refused(tmp_path: Path, ending, kind, unit, expected) -> None:
+    with pytest.raises(RecordingError, match=expected) as caught:
         again(one_channel(kind, unit), tmp_path, ending)
     assert f"X.{kind}" in str(caught.value)
     assert "\n" not in str(caught.value)

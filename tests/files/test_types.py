@@ -19,9 +19,9 @@ from hypothesis import strategies as st
 from tests.made import Made
 from threadline.errors import OptionError, RecordingError
 from threadline.files import (
+    CachedStream,
     ChannelKind,
     Clock,
-    KeptStream,
     RecordingBlock,
     Stream,
     SwitchSchedule,
@@ -164,7 +164,7 @@ def test_streams_begin_anew() -> None:
 def test_a_short_stream_is_worked_out_once_and_a_long_one_anew() -> None:
     calls: list[int] = []
     blocks = [b"ab", b"", b"cde"]
-    stream = KeptStream(noted_blocks, calls, blocks)
+    stream = CachedStream(noted_blocks, calls, blocks)
     next(iter(stream))  # the blocks of a reading that ends early are there for the others
     assert list(zip(stream, stream, strict=True)) == list(zip(blocks, blocks, strict=True))
     assert list(stream) == list(stream) == blocks
@@ -175,17 +175,17 @@ def test_a_short_stream_is_worked_out_once_and_a_long_one_anew() -> None:
     assert len(READINGS) == 1  # worked out anew there, once
 
     calls.clear()
-    long = [b"x" * KeptStream.MOST_KEPT, b"y"]
-    stream = KeptStream(noted_blocks, calls, long)
+    long = [b"x" * CachedStream.MOST_CACHED, b"y"]
+    stream = CachedStream(noted_blocks, calls, long)
     assert list(stream) == list(stream) == long
     assert len(calls) == 2
 
 
 def test_a_long_stream_holds_no_block_after_a_reading() -> None:
     """Neither if its first block is too long, nor if a later one is."""
-    for lengths in (KeptStream.MOST_KEPT + 1, 1), (2, 2, KeptStream.MOST_KEPT, 1):
+    for lengths in (CachedStream.MOST_CACHED + 1, 1), (2, 2, CachedStream.MOST_CACHED, 1):
         alive: list[weakref.ref[Rows]] = []
-        stream = KeptStream(rows_of, alive, lengths)
+        stream = CachedStream(rows_of, alive, lengths)
         assert [len(block) for block in stream] == list(lengths)
         assert len(alive) == len(lengths) and not any(ref() is not None for ref in alive)
 
@@ -193,8 +193,8 @@ def test_a_long_stream_holds_no_block_after_a_reading() -> None:
 def test_readings_side_by_side_of_a_long_stream_are_each_whole() -> None:
     """One of them reaches one row too many, and goes on; the others read by themselves."""
     calls: list[int] = []
-    blocks = [b"ab", b"cd", b"x" * KeptStream.MOST_KEPT, b"y"]
-    stream = KeptStream(noted_blocks, calls, blocks)
+    blocks = [b"ab", b"cd", b"x" * CachedStream.MOST_CACHED, b"y"]
+    stream = CachedStream(noted_blocks, calls, blocks)
     behind, ahead = iter(stream), iter(stream)
     assert next(behind) == b"ab"
     assert list(ahead) == blocks and len(calls) == 1
@@ -203,7 +203,7 @@ def test_readings_side_by_side_of_a_long_stream_are_each_whole() -> None:
 
 
 def test_a_stream_that_fails_does_so_for_every_reading() -> None:
-    stream = KeptStream(failing_blocks)
+    stream = CachedStream(failing_blocks)
     first, second = iter(stream), iter(stream)
     assert (next(first), next(second)) == (b"ab", b"ab")
     for reading in (first, second, stream):
@@ -220,7 +220,7 @@ def test_threads_may_read_a_stream_at_once() -> None:
     blocks = [bytes([k]) for k in range(200)]
     for _ in range(20):
         calls: list[int] = []
-        stream = KeptStream(slow_blocks, calls, blocks)
+        stream = CachedStream(slow_blocks, calls, blocks)
         with ThreadPoolExecutor(4) as pool:
             assert list(pool.map(list, [stream] * 4)) == [blocks] * 4
         assert len(calls) == 1

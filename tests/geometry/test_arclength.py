@@ -104,15 +104,15 @@ def test_inverse_is_the_inverse(share: float, seed: int) -> None:
     """The length measured up to the found point is the wanted length, within 1e-9 m."""
     control = np.random.default_rng(seed).uniform(-0.1, 0.1, (4, 2))
     table = arc_table(bezier(control))
-    wanted = share * table.length_m
-    _, u = table.locate(np.array([wanted]))
+    expected = share * table.length_m
+    _, u = table.locate(np.array([expected]))
     n = 2 * int(20_000 * u[0]) + 3
     points = bezier(control).evaluate(np.zeros(n, dtype=np.int64), np.linspace(0, u[0], n))[0]
     again = np.hypot(*np.diff(points, axis=0).T).sum()
     # Half as many chords are four times as far off: Richardson removes the error.
     again += (again - np.hypot(*np.diff(points[::2], axis=0).T).sum()) / 3.0
 
-    assert again == pytest.approx(wanted, abs=1e-9)
+    assert again == pytest.approx(expected, abs=1e-9)
 
 
 def test_quarter_circle_as_rational_bezier() -> None:

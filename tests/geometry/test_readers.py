@@ -179,8 +179,8 @@ def test_nested_and_repeated_blocks(tmp_path: Path) -> None:
     centres = sorted((np.round(s.pieces.top[0, 0] * 100, 9) + 0.0).tolist() for s in strokes)
 
     # The inner circle stands 1 cm above the outer base, twice that after scaling.
-    wanted = sorted([10.0 + 4 * c, 22.0 + 5 * r] for c in range(3) for r in range(2))
-    assert centres == wanted
+    expected = sorted([10.0 + 4 * c, 22.0 + 5 * r] for c in range(3) for r in range(2))
+    assert centres == expected
     assert all(arc_table(s.pieces).length_m == pytest.approx(0.02 * np.pi) for s in strokes)
     assert {(s.layer, s.colour) for s in strokes} == {("RED", "#0000ff")}
 
@@ -258,10 +258,10 @@ def test_svg_transforms_units_and_viewbox() -> None:
     (stroke,) = drawing.strokes
     begin, end = stroke.pieces.ends()
     found = np.vstack([begin, end[-1:]])
-    wanted = np.array([[1, 2, 1], [4, 2, 1], [4, 6, 1]]) @ matrix.T
+    expected = np.array([[1, 2, 1], [4, 2, 1], [4, 6, 1]]) @ matrix.T
 
-    assert found[:, 0] * 1e3 == pytest.approx(wanted[:, 0], abs=1e-9)
-    assert 60 - found[:, 1] * 1e3 == pytest.approx(wanted[:, 1], abs=1e-9)
+    assert found[:, 0] * 1e3 == pytest.approx(expected[:, 0], abs=1e-9)
+    assert 60 - found[:, 1] * 1e3 == pytest.approx(expected[:, 1], abs=1e-9)
     assert stroke.colour == "#123456"
 
 

@@ -163,9 +163,9 @@ def sampled(data: str) -> list[list[np.ndarray]]:
 def test_random_paths_over_all_commands(seed: int) -> None:
     """Within 1e-9 mm: rounding of numbers of some 100 mm, and of radii scaled up."""
     chance = random.Random(seed)
-    wanted = commands(chance)
-    data = written(wanted, chance)
-    found, expected = sampled(data), drawn(wanted)
+    expected_values = commands(chance)
+    data = written(expected_values, chance)
+    found, expected = sampled(data), drawn(expected_values)
 
     assert [len(path) for path in found] == [len(path) for path in expected], data
     for got, path in zip(found, expected, strict=True):

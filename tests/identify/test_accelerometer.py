@@ -245,7 +245,7 @@ def test_the_unit_of_a_spectrum_does_not_matter(tmp_path: Path, factor: float) -
 
 
 def test_options_that_exclude_each_other(capsys: pytest.CaptureFixture[str]) -> None:
-    for words, said in (
+    for words, message in (
         ((), "no mode is given"),
         (("--axis", "x", "--mode", "3Hz"), "--axis names the axis of --measured"),
         (("--measured", "a.csv", "--mode", "3Hz"), "both give a mode"),
@@ -253,7 +253,7 @@ def test_options_that_exclude_each_other(capsys: pytest.CaptureFixture[str]) -> 
     ):
         code, _, err = run(capsys, *words)
         assert code == 2
-        assert said in " ".join(err.split())
+        assert message in " ".join(err.split())
 
 
 _ORACLE = """

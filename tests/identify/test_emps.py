@@ -51,9 +51,9 @@ def simulated(seconds: float = 9.0):
     time = np.arange(round(seconds / TICK)) * TICK
     # To and fro at two speeds, with ramps of 0.83 m/s^2 as in the recorded program.
     goal, speed = np.zeros(len(time)), 0.0
-    wanted = np.where((time // 1.5) % 2 == 0, 0.1, -0.1) * np.where(time < 4.5, 1.0, 0.5)
+    expected = np.where((time // 1.5) % 2 == 0, 0.1, -0.1) * np.where(time < 4.5, 1.0, 0.5)
     for k in range(1, len(time)):
-        speed += np.clip(wanted[k] - speed, -0.83 * TICK, 0.83 * TICK)
+        speed += np.clip(expected[k] - speed, -0.83 * TICK, 0.83 * TICK)
         goal[k] = goal[k - 1] + speed * TICK
     position, volts, x, v = np.zeros(len(time)), np.zeros(len(time)), 0.0, 0.0
     M, viscous, coulomb = PUBLISHED.values()

@@ -13,7 +13,7 @@ from threadline.machine import load_machine
 
 
 @pytest.fixture(autouse=True)
-def alone(monkeypatch):
+def hal_lock(monkeypatch):
     with hal_alone(monkeypatch), unhurried(monkeypatch):
         yield
 

@@ -120,8 +120,8 @@ def test_inertia_torque_constant_and_resistance_give_two_numbers_at_most(
 
 
 def without(recording, kind):
-    kept = tuple(c for c in recording.channels if c.kind is not kind)
-    return replace(recording, channels=kept)
+    channels = tuple(c for c in recording.channels if c.kind is not kind)
+    return replace(recording, channels=channels)
 
 
 def changed(recording, name, change):

@@ -101,9 +101,9 @@ def test_y_and_its_frame_are_found_from_the_encoder_and_better_with_the_potentio
     machine = load_machine("stitcher")
     encoder, pot = forward.stitcher_y()
     true = np.array([number_at(machine, name).si for name in Y])
-    alone = [data(machine, encoder, "sensors.y")]
-    both = [*alone, data(machine, pot, "sensors.y_pot", "V")]
-    assert (bound(Y, both, machine) < bound(Y, alone, machine)).all()
+    one_by_one = [data(machine, encoder, "sensors.y")]
+    both = [*one_by_one, data(machine, pot, "sensors.y_pot", "V")]
+    assert (bound(Y, both, machine) < bound(Y, one_by_one, machine)).all()
     guess = with_numbers(machine, dict(zip(Y, (true * [2.0, 0.6, 0.5, 1.9]).tolist(), strict=True)))
     start = np.array([number_at(guess, name).si for name in Y])
     for parts in (1, 2):

@@ -30,7 +30,7 @@ class Line(NamedTuple):
     feed: float
 
 
-class Told(NamedTuple):
+class Reading(NamedTuple):
     """A control's reading of a program: moves by line, dwells in s, the first line it refused."""
 
     lines: dict[int, Line]
@@ -103,11 +103,11 @@ def build_klipper(source: Path, folder: Path) -> Path:
     return program
 
 
-def run(program: Path, programs: Sequence[Sequence[str]]) -> list[Told]:
+def run(program: Path, programs: Sequence[Sequence[str]]) -> list[Reading]:
     """Return the readings of a control for each program, started anew for each."""
     text = "".join(f"{_NEW}\n" + "\n".join(lines) + "\n" for lines in programs)
     done = subprocess.run([program], input=text, capture_output=True, text=True, check=True)
-    answers = [_told(part) for part in done.stdout.split(f"{_NEW}\n")[1:]]
+    answers = [_reading(part) for part in done.stdout.split(f"{_NEW}\n")[1:]]
     assert len(answers) == len(programs)
     return answers
 
@@ -134,7 +134,7 @@ def interpreted(
     return done.stdout + done.stderr
 
 
-def _told(text: str) -> Told:
+def _reading(text: str) -> Reading:
     lines: dict[int, Line] = {}
     dwells: list[float] = []
     refused = 0
@@ -150,7 +150,7 @@ def _told(text: str) -> Told:
             dwells.append(values[0])
         elif kind == "E":
             refused = refused or line
-    return Told(lines, dwells, refused)
+    return Reading(lines, dwells, refused)
 
 
 _KLIPPER_MAIN = r"""

@@ -60,9 +60,9 @@ def test_no_block_is_hidden_behind_a_line_separator(
 ) -> None:
     """An editor shows X2 on a line of its own: it is a block there, or the file is refused."""
     lines = ["X1"] * before + [block.format(separator), "X3"]
-    said = refused(write(tmp_path, program(*lines)))
-    assert f"a.nc:{before + 2}: the line holds the " in said
-    assert "line feed" in said
+    message = refused(write(tmp_path, program(*lines)))
+    assert f"a.nc:{before + 2}: the line holds the " in message
+    assert "line feed" in message
 
 
 @pytest.mark.parametrize("end", ["\r\n", "\r\r\n"])

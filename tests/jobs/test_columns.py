@@ -66,8 +66,8 @@ def test_tags_of_a_program_are_the_same_both_ways(seed: int, tmp_path: Path) -> 
     text = (tmp_path / "tags.nc").read_text().splitlines()
     for move in (op for op in one_by_one if isinstance(op, Move)):
         _, _, comment = text[move.source.line - 1].partition(";")
-        said = dict(part.strip().split("=") for part in comment.split(",") if part.strip())
-        assert move.tags == {name: float(value) for name, value in said.items()}
+        values = dict(part.strip().split("=") for part in comment.split(",") if part.strip())
+        assert move.tags == {name: float(value) for name, value in values.items()}
 
 
 @pytest.mark.parametrize("name", ["pocket", "badge", "collar"])

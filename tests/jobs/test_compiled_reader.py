@@ -171,7 +171,7 @@ def test_a_short_program_needs_no_compiled_reader(
 ) -> None:
     """Compiling takes seconds: the first 50 lines are read without it, with the same result."""
     program = ["G91 G1 F100 Y1", *(f"X{k % 3} F{k + 1} ; layer={k}" for k in range(lines)), "M30"]
-    wanted = list(read(tmp_path, *program))
+    expected = list(read(tmp_path, *program))
     used: list[int] = []
     follow = plain_blocks.follow_plain
 
@@ -181,5 +181,5 @@ def test_a_short_program_needs_no_compiled_reader(
 
     monkeypatch.setattr(plain_blocks, "FIRST_LINES", 50)
     monkeypatch.setattr(plain_blocks, "follow_plain", noted)
-    assert list(read(tmp_path, *program)) == wanted
+    assert list(read(tmp_path, *program)) == expected
     assert bool(used) is compiled

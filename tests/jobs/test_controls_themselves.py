@@ -12,7 +12,7 @@ import pytest
 
 from tests.conftest import NO_FIRMWARE
 from tests.jobs import controls_themselves as themselves
-from tests.jobs.controls_themselves import Line, Point, Told
+from tests.jobs.controls_themselves import Line, Point, Reading
 from tests.jobs.fluidnc_itself import build_fluidnc, fluidnc_folder
 from tests.jobs.made_machines import made_machine
 from tests.jobs.random_blocks import random_blocks, random_commands
@@ -30,7 +30,7 @@ def xyz(tmp_path_factory: pytest.TempPathFactory) -> Machine:
     return made_machine(tmp_path_factory.mktemp("xyz"), "XYZ", "")
 
 
-def ours(folder: Path, machine: Machine, lines: list[str], dialect: str) -> Told | None:
+def ours(folder: Path, machine: Machine, lines: list[str], dialect: str) -> Reading | None:
     """Return the reader's moves of a program, None if it refuses."""
     file = folder / "a.nc"
     file.write_text("\n".join(lines) + "\n")
@@ -56,14 +56,14 @@ def ours(folder: Path, machine: Machine, lines: list[str], dialect: str) -> Told
             at = (x, y, z)
     except InputError:
         return None
-    return Told(found, dwells, 0)
+    return Reading(found, dwells, 0)
 
 
 def moving(lines: Mapping[int, Line]) -> dict[int, Line]:
     return {number: line for number, line in lines.items() if line.length_mm > 1e-6}
 
 
-def assert_same_moves(mine: Told, theirs: Told, feeds: bool) -> None:
+def assert_same_moves(mine: Reading, theirs: Reading, feeds: bool) -> None:
     """Ends to 2 um, lengths of arcs to their chords."""
     one, other = moving(mine.lines), moving(theirs.lines)
     assert one.keys() == other.keys()
@@ -213,9 +213,9 @@ def test_linuxcnc_itself_ends_there(tmp_path: Path, xyz: Machine) -> None:
         if mine is None:
             refused += 1
             continue
-        said = themselves.interpreted(rs274, tmp_path / "a.nc")
-        assert "PROGRAM_END" in said, (seed, said)
+        output = themselves.interpreted(rs274, tmp_path / "a.nc")
+        assert "PROGRAM_END" in output, (seed, output)
         end = mine.lines[max(mine.lines)].end_mm
-        assert end == pytest.approx(end_of_rs274(said), abs=2e-3), seed
+        assert end == pytest.approx(end_of_rs274(output), abs=2e-3), seed
         same += 1
     assert same > 60 and refused > 20

@@ -134,7 +134,7 @@ def test_linuxcnc_bends_and_shifts_alike(
     program = tmp_path / "a.ngc"
     lines = "\n".join(random_program(random.Random(seed))).split("\n")
     program.write_text("".join(f"N{n} {line}\n" for n, line in enumerate(lines, start=1)))
-    said = interpreted(rs274, program)
+    output = interpreted(rs274, program)
     job = read_job(program, xyza, dialect="linuxcnc")
     ours = {
         line: [(*(1e3 * p for p in m.target[:3]), math.degrees(m.target[3])) for m in run]
@@ -143,7 +143,7 @@ def test_linuxcnc_bends_and_shifts_alike(
     plane, offset, at = "XY", np.zeros(4), np.zeros(4)
     ends = {}
     arcs = 0
-    calls = re.findall(r" N(\d+)\.* +([A-Z_0-9]+)\(([^()]*)\)", said)
+    calls = re.findall(r" N(\d+)\.* +([A-Z_0-9]+)\(([^()]*)\)", output)
     for label, name, text in calls:
         numbers = [float(n) for n in re.findall(r"[-+]?[0-9]+\.[0-9]+", text)]
         if name == "SELECT_PLANE":
@@ -192,7 +192,7 @@ def test_a_centre_of_0_along_the_third_axis_is_idle_but_for_linuxcnc(
 
 
 @pytest.mark.parametrize(
-    ("block", "said"),
+    ("block", "message"),
     [
         ("G2 X10 Y0 R4", "no circle of R 4 mm goes through points 10 mm apart"),
         ("G2 X0 Y0 R4", "ends where it begins"),
@@ -216,9 +216,9 @@ def test_a_centre_of_0_along_the_third_axis_is_idle_but_for_linuxcnc(
     ],
 )
 def test_block_that_makes_no_curve_is_refused(
-    tmp_path: Path, xyza: Machine, block: str, said: str
+    tmp_path: Path, xyza: Machine, block: str, message: str
 ) -> None:
-    with pytest.raises(JobError, match=re.escape(said)) as caught:
+    with pytest.raises(JobError, match=re.escape(message)) as caught:
         list(read(tmp_path, xyza, f"G1 F600 X0 Z0\n{block}\nM2\n", "linuxcnc"))
     assert caught.value.place is not None and caught.value.place.line in (2, 3)
 

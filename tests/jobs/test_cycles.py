@@ -62,7 +62,7 @@ def test_only_the_way_down_is_at_the_feed(tmp_path: Path, xyza: Machine) -> None
 
 
 @pytest.mark.parametrize(
-    ("block", "said"),
+    ("block", "message"),
     [
         ("G81 X1 Z-5", "G81 has no R"),
         ("G81 X1 R2", "G81 has no Z"),
@@ -86,8 +86,8 @@ def test_only_the_way_down_is_at_the_feed(tmp_path: Path, xyza: Machine) -> None
         ("G84 X1 Z-5 R2", "G84 is a canned cycle that stops, turns or locks the spindle"),
     ],
 )
-def test_blocks_that_are_refused(tmp_path: Path, xyza: Machine, block: str, said: str) -> None:
-    with pytest.raises(JobError, match=re.escape(said)) as caught:
+def test_blocks_that_are_refused(tmp_path: Path, xyza: Machine, block: str, message: str) -> None:
+    with pytest.raises(JobError, match=re.escape(message)) as caught:
         list(read(tmp_path, xyza, f"{HEAD}{block}\nG80\nM2\n", "linuxcnc"))
     assert caught.value.place is not None
     assert caught.value.place.line == 3 + block.count("\n")
@@ -134,8 +134,8 @@ def test_linuxcnc_itself_makes_the_same_moves(tmp_path: Path, xyza: Machine, fir
         text = _random_program(seed)
         program = tmp_path / "a.ngc"
         program.write_text(text)
-        said = interpreted(rs274, program)
-        if "PROGRAM_END" not in said:
+        output = interpreted(rs274, program)
+        if "PROGRAM_END" not in output:
             refused += 1
             with pytest.raises(JobError):
                 list(read(tmp_path, xyza, text, "linuxcnc"))
@@ -143,7 +143,7 @@ def test_linuxcnc_itself_makes_the_same_moves(tmp_path: Path, xyza: Machine, fir
         scale = 25.4 if "G20" in text else 1.0
         theirs = [
             ("DWELL" in line, [float(n) for n in re.findall(r"[-+]?[0-9]+\.[0-9]+", line)[:3]])
-            for line in said.splitlines()
+            for line in output.splitlines()
             if "STRAIGHT_" in line or "DWELL" in line
         ]
         try:

@@ -43,10 +43,10 @@ def test_preambles_are_named_once(
     """One warning names each word without effect on motion once; the motion is the same."""
     text = f"{preamble}\nG1 X5. F60\n{preamble}\nG1 X7. F60\nM5\nM30\n"
     job = read(tmp_path, xyza, text, dialect)
-    (said,) = [w for w in job.warnings if "without effect" in w]
-    assert [w.split()[0] for w in said.partition("first seen: ")[2].split(", ")] == words.split()
+    (warning,) = [w for w in job.warnings if "without effect" in w]
+    assert [w.split()[0] for w in warning.partition("first seen: ")[2].split(", ")] == words.split()
     silent = dialect == "marlin"
-    assert ("compile leaves out words that only show or store: M117 M30." in said) == silent
+    assert ("compile leaves out words that only show or store: M117 M30." in warning) == silent
     assert [p[0] for p in millimetres(job)] == [5.0, 7.0]
     with pytest.raises(InputError):  # the printed winder's program has none of them
         list(read(tmp_path, xyza, text, "winder"))
@@ -55,9 +55,9 @@ def test_preambles_are_named_once(
 def test_g64_of_linuxcnc_is_said_to_be_the_machine_files(tmp_path: Path, xyza: Machine) -> None:
     """The word is LinuxCNC's own, and the plan takes P from the machine file."""
     job = read(tmp_path, xyza, "G64 P0.01\nG1 X5 F60\nM30\n", "linuxcnc")
-    (said,) = [w for w in job.warnings if "G64" in w]
-    assert "this G64 does not count" in said and "tolerance is P of G64" in said
-    assert "other controllers" not in said
+    (warning,) = [w for w in job.warnings if "G64" in w]
+    assert "this G64 does not count" in warning and "tolerance is P of G64" in warning
+    assert "other controllers" not in warning
 
 
 @pytest.mark.parametrize("dialect", ["grbl", "fluidnc", "marlin"])

@@ -90,8 +90,8 @@ def test_linuxcnc_by_its_own_interpreter(tmp_path: Path, winder: Machine, rule: 
         moves += [out, re.sub(r"([AXY])", r"\1-", out)]
     program = tmp_path / "theirs.ngc"
     program.write_text("\n".join(["G21 G91 G93", *(f"G1 {m} F1" for m in moves), "M2"]) + "\n")
-    said = interpreted(rs274, program)
-    rates = re.findall(r"SET_FEED_RATE\(([\d.]+)\)[^S]*STRAIGHT_FEED", said)
+    output = interpreted(rs274, program)
+    rates = re.findall(r"SET_FEED_RATE\(([\d.]+)\)[^S]*STRAIGHT_FEED", output)
     assert len(rates) == len(moves)
 
     lines = [f"G1 {m} F{rate}" for m, rate in zip(moves, rates, strict=True)]
@@ -122,7 +122,7 @@ def test_the_machine_file_names_the_rule(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message"),
     [
         ('feed_mode = "gbrl"', "programs.feed_mode"),
         ('feed_mode = "base-axes"', "base_axes and feed_mode"),
@@ -130,10 +130,10 @@ def test_the_machine_file_names_the_rule(tmp_path: Path) -> None:
         ('feed_mode = "base-axes"\nbase_axes = ["Q"]', "programs.base_axes names the axis 'Q'"),
     ],
 )
-def test_a_rule_that_is_none_is_refused(tmp_path: Path, text: str, said: str) -> None:
+def test_a_rule_that_is_none_is_refused(tmp_path: Path, text: str, message: str) -> None:
     file = tmp_path / "mine.toml"
     file.write_text(f'base = "lathe-winder"\n[programs]\n{text}\n')
-    with pytest.raises(MachineError, match=re.escape(said)):
+    with pytest.raises(MachineError, match=re.escape(message)):
         load_machine(file)
 
 

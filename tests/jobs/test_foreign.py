@@ -53,7 +53,7 @@ def test_comments_beside_what_grbl_is_asked_are_taken_out_as_grbl_does(
 
 
 @pytest.mark.parametrize(
-    ("dialect", "line", "said"),
+    ("dialect", "line", "message"),
     [
         ("grbl", "# 4mm square", "'# 4mm square': # begins no comment"),
         ("grbl", "# Offset X: 33.34", "# begins no comment"),
@@ -63,9 +63,9 @@ def test_comments_beside_what_grbl_is_asked_are_taken_out_as_grbl_does(
     ],
 )
 def test_line_of_another_tool_is_refused_with_its_meaning(
-    tmp_path: Path, axy: Machine, dialect: str, line: str, said: str
+    tmp_path: Path, axy: Machine, dialect: str, line: str, message: str
 ) -> None:
-    with pytest.raises(JobError, match=said):
+    with pytest.raises(JobError, match=message):
         list(made(tmp_path, f"G21\n{line}\nG1 X5 F600\n", axy, dialect=dialect))
 
 
@@ -121,11 +121,13 @@ def test_words_of_a_letter_are_left_out_and_said(tmp_path: Path, axy: Machine) -
     job = made(tmp_path, text, axy, axes="B=none")
     bare = text.replace(" B30", "").replace("G1 B7\n", "\n")
     assert moves(job) == moves(made(tmp_path, bare, axy, "b.nc"))
-    assert any("without effect on motion, first seen: B (line 2)" in said for said in job.warnings)
+    assert any(
+        "without effect on motion, first seen: B (line 2)" in warning for warning in job.warnings
+    )
 
 
 @pytest.mark.parametrize(
-    ("axes", "said"),
+    ("axes", "message"),
     [
         ("C", "axes 'C' is no pair of axes"),
         ("C=Q", "has no axis Q"),
@@ -140,9 +142,9 @@ def test_words_of_a_letter_are_left_out_and_said(tmp_path: Path, axy: Machine) -
     ],
 )
 def test_pairs_that_cannot_be_are_refused(
-    tmp_path: Path, axy: Machine, axes: str, said: str
+    tmp_path: Path, axy: Machine, axes: str, message: str
 ) -> None:
-    with pytest.raises(OptionError, match=said):
+    with pytest.raises(OptionError, match=message):
         made(tmp_path, PROGRAM, axy, axes=axes)
 
 
@@ -166,7 +168,9 @@ def test_the_head_of_a_3d_print_goes_its_way_without_e(tmp_path: Path) -> None:
     job = made(tmp_path, printed, machine, dialect="klipper", axes="E=none")
     bare = "G28\nG1 X5 Y2 F600\nG1 F2400\nG1 X9 F900\n"
     assert moves(job) == moves(made(tmp_path, bare, machine, "b.nc", dialect="klipper"))
-    assert any("E (line 2)" in said and "compile writes no E" in said for said in job.warnings)
+    assert any(
+        "E (line 2)" in warning and "compile writes no E" in warning for warning in job.warnings
+    )
     for refused in ("E=X", "E=A"):
         with pytest.raises(InputError, match="axes"):
             made(tmp_path, printed, machine, dialect="klipper", axes=refused)
@@ -216,7 +220,7 @@ def test_the_dialect_is_guessed_and_said(
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message"),
     [
         ("G91 G1 F5 X1\nX2\n", "has no end: the file may be truncated"),
         ("G1 X5 F60\nM8\nM2\n", "unknown word M8"),
@@ -224,9 +228,9 @@ def test_the_dialect_is_guessed_and_said(
     ],
 )
 def test_without_a_mark_nothing_is_guessed(
-    tmp_path: Path, axy: Machine, text: str, said: str
+    tmp_path: Path, axy: Machine, text: str, message: str
 ) -> None:
-    with pytest.raises(JobError, match=said):
+    with pytest.raises(JobError, match=message):
         made(tmp_path, text, axy)
 
 
@@ -239,7 +243,7 @@ def test_a_tool_length_may_follow_moves_over_the_place(tmp_path: Path) -> None:
         z = machine.axis_names.index("Z")
         levels = [round(1e3 * target[z], 6) for target, _, _ in moves(job)]  # type: ignore[index]
         assert levels[:4] == [0.0, 15.0, -1.0, -1.0] and levels[-1] == (0.0 if home else -1.0)
-        assert any("it holds for every move of Z" in said for said in job.warnings)
+        assert any("it holds for every move of Z" in warning for warning in job.warnings)
 
 
 TABLE = """# a planner's table
@@ -255,8 +259,8 @@ def test_a_table_with_feeds_is_the_program_of_its_rows(tmp_path: Path, axy: Mach
     text = "G1 A10 X5 F600 ; tension_n=25\nA40 X-3 F900 ; tension_n=20\nM2\n"
     program = made(tmp_path, text, axy, feed_mode="fastest-axis")
     assert [tags for *_, tags in moves(job)] == [{"tension_N": 25.0}, {"tension_N": 20.0}]
-    for (target, feed, _), (wanted, like, _) in zip(moves(job), moves(program), strict=True):
-        assert target == pytest.approx(wanted, rel=1e-12) and feed.mode == like.mode  # type: ignore[attr-defined]
+    for (target, feed, _), (expected, like, _) in zip(moves(job), moves(program), strict=True):
+        assert target == pytest.approx(expected, rel=1e-12) and feed.mode == like.mode  # type: ignore[attr-defined]
         assert feed.value == pytest.approx(like.value)  # type: ignore[attr-defined]
     assert [one.source.line for one in job if isinstance(one, Move)] == [4, 5]
 
@@ -288,7 +292,7 @@ def test_a_long_table_is_read_in_order(tmp_path: Path, axy: Machine) -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message"),
     [
         ("x_mm,y_mm,z_mm,layer\n1,2,3,0\n1,2,4,0\n", "points x, y, z of a fibre"),
         ("A_deg,X_mm\n1,2\n2,3\n", "neither times nor feeds"),
@@ -305,9 +309,9 @@ def test_a_long_table_is_read_in_order(tmp_path: Path, axy: Machine) -> None:
     ],
 )
 def test_a_table_that_is_no_motion_is_refused(
-    tmp_path: Path, axy: Machine, text: str, said: str
+    tmp_path: Path, axy: Machine, text: str, message: str
 ) -> None:
-    with pytest.raises(JobError, match=said):
+    with pytest.raises(JobError, match=message):
         made(tmp_path, text, axy, "a.csv")
 
 

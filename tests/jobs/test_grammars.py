@@ -46,7 +46,7 @@ def test_second_block_behind_a_semicolon_is_refused(
 
 
 @pytest.mark.parametrize(
-    ("dialect", "block", "said"),
+    ("dialect", "block", "message"),
     [
         ("marlin", "M201 X4000 Y4000 Z200", "M201 is a new setting of steps, limits or jerks"),
         ("marlin", "M204 P4000 T4000", "M204 is a new setting of steps, limits or jerks"),
@@ -56,9 +56,9 @@ def test_second_block_behind_a_semicolon_is_refused(
     ],
 )
 def test_line_of_a_slicer_or_postprocessor_is_refused_with_its_meaning(
-    tmp_path: Path, xyza: Machine, dialect: str, block: str, said: str
+    tmp_path: Path, xyza: Machine, dialect: str, block: str, message: str
 ) -> None:
-    with pytest.raises(JobError, match=said):
+    with pytest.raises(JobError, match=message):
         list(read(tmp_path, xyza, f"G21\nG90\n{block}\nG1 X5 F600\nM30\n", dialect))
 
 
@@ -179,12 +179,12 @@ REFUSED = [
 ]  # fmt: skip
 
 
-@pytest.mark.parametrize(("dialect", "block", "said"), REFUSED)
+@pytest.mark.parametrize(("dialect", "block", "message"), REFUSED)
 def test_block_that_the_control_refuses_is_refused_with_its_line(
-    tmp_path: Path, xyza: Machine, dialect: str, block: str, said: str
+    tmp_path: Path, xyza: Machine, dialect: str, block: str, message: str
 ) -> None:
     head = HEAD.replace("X5", "X5.")
-    with pytest.raises(JobError, match=said) as refused:
+    with pytest.raises(JobError, match=message) as refused:
         moves(read(tmp_path, xyza, f"{head}{block}\nG0 X1.\nM2\n", dialect))
     assert "\n" not in str(refused.value)
     assert refused.value.place is not None and refused.value.place.line > 2
@@ -228,7 +228,7 @@ def test_grbl_keeps_the_radius_of_the_start(
 
 
 @pytest.mark.parametrize(
-    ("line", "said"),
+    ("line", "message"),
     [
         ("G21 G90 G1 X50", r"only the first command of a line \(G21\), and not G90"),
         ("M3 G1 X5", r"only the first command of a line \(M3\), and not G1"),
@@ -259,9 +259,9 @@ def test_grbl_keeps_the_radius_of_the_start(
     ],
 )  # fmt: skip
 def test_line_with_another_meaning_in_marlin_is_refused(
-    tmp_path: Path, xyza: Machine, line: str, said: str
+    tmp_path: Path, xyza: Machine, line: str, message: str
 ) -> None:
-    with pytest.raises(InputError, match=said):
+    with pytest.raises(InputError, match=message):
         moves(read(tmp_path, xyza, f"G1 X5 F600\n{line}\nG1 X1\n", "marlin"))
 
 
@@ -288,7 +288,7 @@ def test_numbered_lines_of_marlin_are_followed(tmp_path: Path, xyza: Machine) ->
 
 
 @pytest.mark.parametrize(
-    ("line", "said"),
+    ("line", "message"),
     [
         ("PRINT_START BED=60", "PRINT_START runs a macro"),
         ("_home", "_HOME runs a macro"),
@@ -315,9 +315,9 @@ def test_numbered_lines_of_marlin_are_followed(tmp_path: Path, xyza: Machine) ->
     ],
 )
 def test_line_with_another_meaning_in_klipper_is_refused(
-    tmp_path: Path, xyza: Machine, line: str, said: str
+    tmp_path: Path, xyza: Machine, line: str, message: str
 ) -> None:
-    with pytest.raises(InputError, match=said):
+    with pytest.raises(InputError, match=message):
         moves(read(tmp_path, xyza, f"G1 X5 F600\n{line}\nG1 X1\n", "klipper"))
 
 
@@ -373,7 +373,7 @@ def test_klipper_reads_small_letters_and_passes_numbers_and_checksums_over(
 
 
 @pytest.mark.parametrize(
-    ("line", "said"),
+    ("line", "message"),
     [
         ("if move.axes[0].homed", "if is a meta command of reprapfirmware"),
         ("  while iterations < 3", "while is a meta command"),
@@ -404,9 +404,9 @@ def test_klipper_reads_small_letters_and_passes_numbers_and_checksums_over(
     ],
 )  # fmt: skip
 def test_line_with_another_meaning_in_reprapfirmware_is_refused(
-    tmp_path: Path, xyza: Machine, line: str, said: str
+    tmp_path: Path, xyza: Machine, line: str, message: str
 ) -> None:
-    with pytest.raises(InputError, match=said) as refused:
+    with pytest.raises(InputError, match=message) as refused:
         moves(read(tmp_path, xyza, f"G1 X5 F600\n{line}\nG1 X1\n", "reprapfirmware"))
     assert "\n" not in str(refused.value)
 
@@ -436,19 +436,19 @@ def test_a_long_program_of_reprapfirmware_has_every_command(tmp_path: Path, xyza
     lines = [f"G1 X{k}" + (f" G1 Y{k}" if k % 7 == 0 else "") for k in range(600)]
     job = read(tmp_path, xyza, "\n".join(["G1 F600", *lines]), "reprapfirmware")
     ends = [(round(x), round(y)) for x, y, *_ in millimetres(job)]
-    wanted = []
+    expected = []
     for k in range(600):
-        wanted.append((k, wanted[-1][1] if wanted else 0))
+        expected.append((k, expected[-1][1] if expected else 0))
         if k % 7 == 0:
-            wanted.append((k, k))
-    assert ends == wanted
+            expected.append((k, k))
+    assert ends == expected
 
 
 # --- FluidNC --------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
-    ("line", "said"),
+    ("line", "message"),
     [
         ("#</axes/x/steps_per_mm>=160", "is an item of the control's configuration"),
         ("#1=#</axes/x/steps_per_mm>", "is an item of the control's configuration"),
@@ -458,9 +458,9 @@ def test_a_long_program_of_reprapfirmware_has_every_command(tmp_path: Path, xyza
     ],
 )
 def test_line_that_fluidnc_executes_itself_is_refused(
-    tmp_path: Path, xyza: Machine, line: str, said: str
+    tmp_path: Path, xyza: Machine, line: str, message: str
 ) -> None:
-    with pytest.raises(JobError, match=said):
+    with pytest.raises(JobError, match=message):
         moves(read(tmp_path, xyza, f"G21\nG1 X20 F60\n{line}\nG1 X1\n", "fluidnc"))
 
 
@@ -515,8 +515,8 @@ def test_a_percent_is_an_error_of_grbl_and_said(tmp_path: Path, xyza: Machine) -
     """``protocol.c`` does not handle it, and ``gcode.c`` waits for a letter."""
     job = read(tmp_path, xyza, "(tube)\n%\nG0 X1\n%\n", "grbl")
     assert [p[0] for p in millimetres(job)] == [1]
-    (said,) = job.warnings
-    assert "a.nc:2: grbl answers error:1 to a line with %" in said
+    (warning,) = job.warnings
+    assert "a.nc:2: grbl answers error:1 to a line with %" in warning
     assert not read(tmp_path, xyza, "%\nG0 X1\nM2\n%\n", "linuxcnc").warnings
 
 
@@ -535,10 +535,12 @@ def test_letters_that_act_as_they_are_sent_are_said(
 ) -> None:
     """grbl picks them out of the serial stream (``serial.c``), FluidNC even in UTF-8."""
     text = f"G0 X1\nG0 X2 ; {comment}\nG0 X3\n" + ("M2\n" if dialect == "linuxcnc" else "")
-    said = [w for w in read(tmp_path, xyza, text, dialect).warnings if "as soon as it is sent" in w]
-    assert len(said) == bool(letter)
-    assert not letter or f"a.nc:2: {dialect} acts on {letter} " in said[0]
-    assert not letter or f"it {does}" in said[0]
+    messages = [
+        w for w in read(tmp_path, xyza, text, dialect).warnings if "as soon as it is sent" in w
+    ]
+    assert len(messages) == bool(letter)
+    assert not letter or f"a.nc:2: {dialect} acts on {letter} " in messages[0]
+    assert not letter or f"it {does}" in messages[0]
 
 
 def test_a_3d_print_is_refused_as_one(tmp_path: Path, xyza: Machine) -> None:

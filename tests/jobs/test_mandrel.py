@@ -161,7 +161,7 @@ def test_a_table_that_is_none_is_refused(tmp_path: Path, text: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message"),
     [
         (CONE.replace('"X"', '"Q"'), "does not exist"),
         (CONE.replace('"X"', '"A"'), "a rotary axis"),
@@ -170,6 +170,6 @@ def test_a_table_that_is_none_is_refused(tmp_path: Path, text: str) -> None:
         (CONE.replace(', "50 mm exact, measured"', ""), "2 positions and 1 radii"),
     ],
 )  # fmt: skip
-def test_a_profile_in_a_machine_file_is_checked(tmp_path: Path, text: str, said: str) -> None:
-    with pytest.raises(MachineError, match=said):
+def test_a_profile_in_a_machine_file_is_checked(tmp_path: Path, text: str, message: str) -> None:
+    with pytest.raises(MachineError, match=message):
         with_cone(tmp_path, text)

@@ -262,18 +262,18 @@ REFUSED = [
 ]
 
 
-@pytest.mark.parametrize(("text", "said"), REFUSED)
+@pytest.mark.parametrize(("text", "message"), REFUSED)
 def test_malformed_expression_or_flow_control_is_refused(
-    tmp_path: Path, xyza: Machine, text: str, said: str
+    tmp_path: Path, xyza: Machine, text: str, message: str
 ) -> None:
     head = "" if text.startswith("%") else "F60\n"
     with pytest.raises(InputError) as caught:
         list(read(tmp_path, xyza, f"{head}{text}\nG0 X1\nM2\n", "linuxcnc"))
-    assert said in str(caught.value) and "\n" not in str(caught.value)
+    assert message in str(caught.value) and "\n" not in str(caught.value)
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message"),
     [
         ("G0 X#40", "parameter #40 is read before it is set"),
         ("o<a> if [1]\no<a> endif", "FluidNC has no subroutines, and labels that are numbers only"),
@@ -291,15 +291,15 @@ def test_malformed_expression_or_flow_control_is_refused(
     ],
 )
 def test_expression_that_fluidnc_lacks_is_refused(
-    tmp_path: Path, xyza: Machine, text: str, said: str
+    tmp_path: Path, xyza: Machine, text: str, message: str
 ) -> None:
     with pytest.raises(InputError) as caught:
         list(read(tmp_path, xyza, f"{text}\nG0 X1\nM2\n", "fluidnc"))
-    assert said in str(caught.value)
+    assert message in str(caught.value)
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message"),
     [
         ("o1 while [1]\nG0 X1\no1 endwhile", "runs more than 50 lines again"),
         ("o1 while [1]\n#1=2\no1 endwhile", "runs more than 40 lines without a move"),
@@ -308,13 +308,13 @@ def test_expression_that_fluidnc_lacks_is_refused(
     ],
 )
 def test_loops_without_an_end_are_refused(
-    tmp_path: Path, xyza: Machine, monkeypatch: pytest.MonkeyPatch, text: str, said: str
+    tmp_path: Path, xyza: Machine, monkeypatch: pytest.MonkeyPatch, text: str, message: str
 ) -> None:
     for module, name, most in (
         (course, "MOST_LINES", 50), (course, "MOST_IDLE", 40), (survey, "MOST_OPERATIONS", 20),
     ):  # fmt: skip
         monkeypatch.setattr(module, name, most)
-    with pytest.raises(InputError, match=said):
+    with pytest.raises(InputError, match=message):
         read(tmp_path, xyza, f"{text}\nM2\n", "linuxcnc")
 
 

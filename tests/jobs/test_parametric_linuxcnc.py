@@ -34,14 +34,14 @@ def test_linuxcnc_reckons_alike(tmp_path: Path, xyza: Machine, first: int) -> No
     for seed in range(first, first + 6):
         program = tmp_path / "a.ngc"
         program.write_text(random_parametric(seed))
-        said = interpreted(rs274, program)
-        if "PROGRAM_END" not in said:
+        output = interpreted(rs274, program)
+        if "PROGRAM_END" not in output:
             with pytest.raises(JobError):
                 read_job(program, xyza, dialect="linuxcnc")
             continue
         theirs = [
             [float(number) for number in re.findall(r"[-+]?[0-9]+\.[0-9]+", line)[:4]]
-            for line in said.splitlines()
+            for line in output.splitlines()
             if "STRAIGHT_" in line
         ]
         ours = millimetres(read_job(program, xyza, dialect="linuxcnc"))

@@ -126,8 +126,8 @@ def test_warnings_name_their_line(tmp_path: Path) -> None:
 def test_dwells_from_twenty_seconds_on_are_asked_about(tmp_path: Path) -> None:
     """Pens, valves and spindles all take less than that."""
     job = read(tmp_path, "G91 G1 F600 X1", "G4 P19.9", "G4 P20", "G4 P21", "M30")
-    (told,) = job.suspicions(own_feed=True)
-    assert told.split(":")[1] == "3" and "waits 20 s (1 more line waits as long)" in told
+    (suspicion,) = job.suspicions(own_feed=True)
+    assert suspicion.split(":")[1] == "3" and "waits 20 s (1 more line waits as long)" in suspicion
 
 
 def test_g64_alone_is_warned_of_and_a_thousand_of_them_at_most(tmp_path: Path) -> None:

@@ -43,7 +43,7 @@ def test_a_cnc_program_is_read(tmp_path: Path, xyza: Machine) -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message"),
     [
         ("G1 X5 F600\nM400\nX9\n", "axis words without a G word"),
         ("G1 X5 F600\nG90\nX9\n", "axis words without a G word"),
@@ -54,9 +54,9 @@ def test_a_cnc_program_is_read(tmp_path: Path, xyza: Machine) -> None:
     ],
 )
 def test_program_that_reprapfirmware_refuses_is_refused(
-    tmp_path: Path, xyza: Machine, text: str, said: str
+    tmp_path: Path, xyza: Machine, text: str, message: str
 ) -> None:
-    with pytest.raises(InputError, match=said):
+    with pytest.raises(InputError, match=message):
         millimetres(read(tmp_path, xyza, text, CNC))
 
 

@@ -63,7 +63,7 @@ def test_the_motion_rests_where_a_length_is_taken(tmp_path: Path, with_lengths: 
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message"),
     [
         ("G43 H9\nG0 Z1\nG53 Z0\nM2\n", "a.nc:3: G53 goes to a place of the machine, and how far"),
         ("G53 G0 Z0\nG43 H9\nX1\nM2\n", "G43 H9 begins it between moves of Z"),
@@ -72,12 +72,12 @@ def test_the_motion_rests_where_a_length_is_taken(tmp_path: Path, with_lengths: 
     ],
 )
 def test_a_length_that_the_file_lacks_is_asked_for(
-    tmp_path: Path, with_lengths: Machine, text: str, said: str
+    tmp_path: Path, with_lengths: Machine, text: str, message: str
 ) -> None:
     """A control would leave the plan by the length of the tool."""
     with pytest.raises(JobError) as caught:
         list(read(tmp_path, with_lengths, text, "linuxcnc"))
-    assert said in str(caught.value) and "[programs.lengths] H1 = " in str(caught.value)
+    assert message in str(caught.value) and "[programs.lengths] H1 = " in str(caught.value)
 
 
 def test_lengths_are_lengths(tmp_path: Path) -> None:
@@ -135,11 +135,11 @@ def test_linuxcnc_goes_to_the_same_places(tmp_path: Path, with_lengths: Machine)
         program = tmp_path / "a.ngc"
         program.write_text("\n".join(lines) + "\n")
         (tmp_path / "made.var").write_text(_variables())
-        said = interpreted(rs274, program, more=("-t", "made.tbl", "-v", "made.var"))
-        assert "PROGRAM_END" in said, (seed, said)
+        output = interpreted(rs274, program, more=("-t", "made.tbl", "-v", "made.var"))
+        assert "PROGRAM_END" in output, (seed, output)
         theirs: list[list[float]] = []
         shifts = {"G5X": [0.0] * 3, "G92": [0.0] * 3, "TOOL": [0.0] * 3}
-        for row in said.splitlines():
+        for row in output.splitlines():
             call = re.search(r"(STRAIGHT_\w+|SET_(G5X|G92)_OFFSET|USE_(TOOL)_\w+)\((.*)\)", row)
             if call is None:
                 continue

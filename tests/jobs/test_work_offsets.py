@@ -73,7 +73,7 @@ def test_systems_lie_as_far_apart_as_the_machine_file_says(
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message"),
     [
         (
             "G1 X1 F60\nG55 X2\nM2\n",
@@ -87,12 +87,12 @@ def test_systems_lie_as_far_apart_as_the_machine_file_says(
     ],
 )
 def test_missing_work_offset_is_requested_in_the_machine_file(
-    tmp_path: Path, plain: Machine, with_offsets: Machine, text: str, said: str
+    tmp_path: Path, plain: Machine, with_offsets: Machine, text: str, message: str
 ) -> None:
     machine = with_offsets if "G56" in text else plain
     with pytest.raises(JobError) as caught:
         read(tmp_path, machine, text)
-    assert said in str(caught.value) and "\n" not in str(caught.value)
+    assert message in str(caught.value) and "\n" not in str(caught.value)
     assert "programs.offsets" in str(caught.value)
 
 
@@ -109,8 +109,8 @@ def test_grbl_goes_on_behind_the_end_of_a_program(tmp_path: Path, plain: Machine
     operations = list(job)
     assert [type(one) for one in operations if not isinstance(one, Move)] == [Dwell, Stop]
     assert operations[3].source.line == 5 and operations[3].feed == operations[1].feed
-    (said,) = [warning for warning in job.warnings if "do not end the program" in warning]
-    assert "a.nc:4" in said and "lines 4)" in said
+    (end_warning,) = [warning for warning in job.warnings if "do not end the program" in warning]
+    assert "a.nc:4" in end_warning and "lines 4)" in end_warning
     open_end = read(tmp_path, plain, "G1 X1 F60\nM30\nX2\n")
     assert places(open_end) == [(1, 0), (2, 0)] and isinstance(list(open_end)[-1], Stop)
     for dialect in ("fluidnc", "linuxcnc"):
@@ -151,7 +151,7 @@ def test_a_tool_length_before_all_moves_is_where_the_zero_is(
     for lengths in ("G43 H1\n", "G43\nG43\n", "G49\nG43 H0\n", "N5 G43 H12 (long)\n"):
         job = read(tmp_path, plain, head + lengths + bare.format("G49\n"), "linuxcnc")
         assert places(job) == [(2.0, 1.0), (7.0, 1.0)]
-        assert sum("knows the tool length of G43" in said for said in job.warnings) == 1
+        assert sum("knows the tool length of G43" in warning for warning in job.warnings) == 1
         taken, *_, left = [word for word in _words(job) if word[:2] == "G4"]
         assert taken in lengths and taken.startswith("G43") and left == "G49"
     in_move = read(tmp_path, plain, "G90\nG0 G43 Z5 H1 X1\n#1=3\nG0 X#1\nM2\n", "linuxcnc")
@@ -168,7 +168,7 @@ def _words(job: Job) -> list[str]:
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message"),
     [
         (
             "G0 Z1\nG43 H1\nZ2\nM2\n",
@@ -184,8 +184,8 @@ def _words(job: Job) -> list[str]:
     ],
 )
 def test_a_tool_length_between_moves_is_refused(
-    tmp_path: Path, plain: Machine, text: str, said: str
+    tmp_path: Path, plain: Machine, text: str, message: str
 ) -> None:
     with pytest.raises(InputError) as caught:
         list(read(tmp_path, plain, text, "linuxcnc"))
-    assert said in str(caught.value)
+    assert message in str(caught.value)

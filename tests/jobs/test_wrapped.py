@@ -89,10 +89,10 @@ def test_linuxcnc_turns_a_wrapped_axis_likewise(tmp_path: Path, wrapped: Machine
         job = read(tmp_path, wrapped, "\n".join(lines) + "\n", "linuxcnc")
         program = tmp_path / "a.ngc"
         program.write_text("\n".join(lines) + "\n")
-        said = interpreted(rs274, program, settings=settings)
-        assert "PROGRAM_END" in said, (seed, said)
+        output = interpreted(rs274, program, settings=settings)
+        assert "PROGRAM_END" in output, (seed, output)
         theirs, shift = [], 0.0
-        for row in said.splitlines():
+        for row in output.splitlines():
             match = re.search(r"(STRAIGHT_\w+|SET_G92_OFFSET)\((.*)\)", row)
             if match is not None and match[1] == "SET_G92_OFFSET":
                 shift = float(match[2].split(",")[3])
@@ -102,7 +102,7 @@ def test_linuxcnc_turns_a_wrapped_axis_likewise(tmp_path: Path, wrapped: Machine
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message"),
     [
         ("G1 A360", "angles of a wrapped axis between -360 and 360"),
         ("G53 G1 A5", "G53 with the wrapped axis A"),
@@ -111,9 +111,9 @@ def test_linuxcnc_turns_a_wrapped_axis_likewise(tmp_path: Path, wrapped: Machine
     ],
 )
 def test_impossible_moves_of_a_wrapped_axis_are_refused(
-    tmp_path: Path, wrapped: Machine, text: str, said: str
+    tmp_path: Path, wrapped: Machine, text: str, message: str
 ) -> None:
-    with pytest.raises(JobError, match=said):
+    with pytest.raises(JobError, match=message):
         _turns(tmp_path, wrapped, text)
 
 

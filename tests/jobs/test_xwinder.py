@@ -91,12 +91,12 @@ def test_proof_of_an_x_winder_program_states_the_meaning_of_f(
     """From the file to the lines below a verdict."""
     read(tmp_path, winder, "M4 S30", "G1 F2 Z1 B5")
     proof = prove(tmp_path / "a.X4G", winder, ANY, Options())
-    said = "\n".join(about(proof))
-    assert "of the carriage, a second (feed mode x-winder)" in said
+    message = "\n".join(about(proof))
+    assert "of the carriage, a second (feed mode x-winder)" in message
 
 
 @pytest.mark.parametrize(
-    ("line", "said"),
+    ("line", "message"),
     [
         ("G1 F1 Z8 [open", "a comment in brackets is not closed"),
         ("G4 C360", "waits for a mandrel that does not turn"),
@@ -114,8 +114,8 @@ def test_proof_of_an_x_winder_program_states_the_meaning_of_f(
         ("M0", "the program moves nothing"),
     ],
 )
-def test_a_bad_line_is_named(tmp_path: Path, winder: Machine, line: str, said: str) -> None:
-    with pytest.raises(JobError, match=re.escape(said)):
+def test_a_bad_line_is_named(tmp_path: Path, winder: Machine, line: str, message: str) -> None:
+    with pytest.raises(JobError, match=re.escape(message)):
         read(tmp_path, winder, line)
 
 

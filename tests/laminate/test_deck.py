@@ -61,14 +61,14 @@ def test_bad_loads_are_refused_and_nothing_is_written(
 ) -> None:
     file = tmp_path / "short.wind.toml"
     file.write_text(SHORT + LAYERS, encoding="utf-8")
-    for words, said in (
+    for words, message in (
         (("--pressure", "10 bar"), "Add --deck NAME.inp"),
         (("--pressure", "0 bar", "--deck", tmp_path / "a.inp"), "above 0 and at most 10000 bar"),
         (("--pressure", "20000 bar", "--deck", tmp_path / "a.inp"), "at most 10000 bar"),
         (("--pressure", "10 mm", "--deck", tmp_path / "a.inp"), "--pressure"),
     ):
         code, out, err = run(capsys, file, *words)
-        assert (code, out) == (2, "") and said in err
+        assert (code, out) == (2, "") and message in err
     assert list(tmp_path.iterdir()) == [file]
 
 
@@ -104,11 +104,11 @@ def test_calculix_finds_the_hoop_stress_of_the_cylinder(
         return total / float(thickness[ring])
 
     middle = len(rings.plies) // 2
-    wanted = 2e6 * 0.05 / float(thickness[middle])
-    assert hoop_stress(middle) == pytest.approx(wanted, rel=0.02)
+    expected = 2e6 * 0.05 / float(thickness[middle])
+    assert hoop_stress(middle) == pytest.approx(expected, rel=0.02)
     dome = int(np.argmin(np.abs(rings.inside[1::2, 1] - 0.042)))
-    wanted = 0.5 * 2e6 * 0.05 / float(thickness[dome])
-    assert hoop_stress(dome) == pytest.approx(wanted, rel=0.04)
+    expected = 0.5 * 2e6 * 0.05 / float(thickness[dome])
+    assert hoop_stress(dome) == pytest.approx(expected, rel=0.04)
 
     layered = [(materials[p.material], p.angle, p.thickness) for p in rings.plies[middle]]
     stiffness = laminate_of([Layered(*one) for one in layered])

@@ -10,7 +10,7 @@ from functools import cache
 
 import numpy as np
 
-from tests.live.kept import Kept
+from tests.live.memory_sink import MemorySink
 from threadline.files import Event, Stream, TickBlock, TickTable
 from threadline.live.executor import Executor
 from threadline.live.sim_machine import SimFault
@@ -39,10 +39,10 @@ class Wire:
         self.sent: list[Message] = []
         self.before_play: Callable[[], None] = lambda: None
         counts = np.zeros(len(machine.axes), dtype=np.int64) if start is None else start
-        self.machine = simulated_of(machine)(machine, counts, self._told, fault)
+        self.machine = simulated_of(machine)(machine, counts, self._receive, fault)
         self.machine.greet()
 
-    def _told(self, message: Message) -> None:
+    def _receive(self, message: Message) -> None:
         self._answers.append(decoded(message.encoded()[4:]))
 
     def fileno(self) -> int:
@@ -111,14 +111,14 @@ class Bench:
         fault: SimFault | None = None,
         same: bool = False,
     ) -> None:
-        self.desk, self.kept = Desk(), Kept()
+        self.desk, self.sink = Desk(), MemorySink()
         self.is_machine = other if same and other is not None else winder()
         self.wire = Wire(other or winder(), start, fault)
         self.executor = Executor(
             self.wire,
             self.is_machine,
             self.desk,
-            self.kept,
+            self.sink,
             speed=0.0,  # type: ignore[arg-type]
         )
         self.executor.connect()
@@ -139,7 +139,7 @@ class Bench:
             executor.step()
 
     def channel(self, name: str) -> np.ndarray:
-        return np.concatenate([block.samples[name] for block in self.kept.blocks])
+        return np.concatenate([block.samples[name] for block in self.sink.blocks])
 
     def commanded(self) -> np.ndarray:
         """Return (n, axes) commanded counts at the ticks of the run."""

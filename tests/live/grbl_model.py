@@ -63,7 +63,7 @@ class GrblModel(threading.Thread):
         self.blocks: deque[tuple[np.ndarray, float]] = deque()
         self.target, self.feed, self.rapid = np.zeros(4), 0.0, True
         self.ahead_s = 0.0
-        self.overrides = self.told_overrides = (100, 100, 100)
+        self.overrides = self.reported_overrides = (100, 100, 100)
         self.overridable = True
         self.at_stop = False
         self.mute = False
@@ -145,8 +145,8 @@ class GrblModel(threading.Thread):
             if not self.stuck:
                 free = f"{self.room - len(self.blocks)},{self.characters}"
                 overrides = ""
-                if self.overrides != self.told_overrides:
-                    self.told_overrides = self.overrides
+                if self.overrides != self.reported_overrides:
+                    self.reported_overrides = self.overrides
                     overrides = f"|Ov:{','.join(map(str, self.overrides))}"
                 self._say(f"<{state}|MPos:{place}|Bf:{free}|FS:0,0{overrides}>")
         elif byte in (0x85, ord("!")) and self.state == "Jog":  # lines in the buffer stay there
@@ -237,8 +237,8 @@ class GrblModel(threading.Thread):
             self.blocks.append((target, float(found[3]) / 60.0))
             self.target, self.state = target, "Jog"
             ends = [self.at, *(end for end, _ in self.blocks)]
-            ways = np.linalg.norm(np.diff(ends, axis=0), axis=1)
-            left = sum(way / speed for way, (_, speed) in zip(ways, self.blocks, strict=True))
+            moves = np.linalg.norm(np.diff(ends, axis=0), axis=1)
+            left = sum(way / speed for way, (_, speed) in zip(moves, self.blocks, strict=True))
             self.ahead_s = max(self.ahead_s, float(left))
         return ""
 

@@ -19,7 +19,7 @@ from typing import ParamSpec
 import numpy as np
 import pytest
 
-from tests.live.kept import Kept
+from tests.live.memory_sink import MemorySink
 from tests.one_hal import one_hal
 from threadline.files import RunEnd
 from threadline.live import hal_link as hal_process
@@ -147,7 +147,7 @@ class Recorded(HalSession):
 
 
 def left_samples(machine: Machine) -> np.ndarray:
-    """Return the records that the sampler still holds unread; as ``told_in``."""
+    """Return the records that the sampler still holds unread; as ``commanded_in``."""
     axes, tick_s = len(machine.axes), float(machine.tick_clock.period_s)
     depth = int(hal_session.SAMPLED_S / tick_s) + 100
     fifo = HalFifo(SAMPLER_KEY, depth, "ss" + "ff" * axes)
@@ -156,7 +156,7 @@ def left_samples(machine: Machine) -> np.ndarray:
     return np.column_stack([words[:, 0], numbers[:, 2 : 2 + axes]]).astype(np.float64)
 
 
-def told_in(box: Path, axes: int) -> np.ndarray:
+def commanded_in(box: Path, axes: int) -> np.ndarray:
     """Return (n, 1 + axes) record numbers and commanded counts, as the black box has them."""
     return np.frombuffer(box.read_bytes()).reshape(-1, 1 + axes)
 
@@ -193,10 +193,10 @@ def execute(
     at_tick: Callable[[Executor, Desk], None],
     *,
     may_stand_still: bool = False,
-) -> tuple[Executor, Kept]:
+) -> tuple[Executor, MemorySink]:
     """Run a table to its end; a sleep of the computer is an error unless a test causes it."""
-    kept, desk = Kept(), Desk()
-    executor = Executor(Connection(end), machine, desk, kept, speed=1.0)
+    sink, desk = MemorySink(), Desk()
+    executor = Executor(Connection(end), machine, desk, sink, speed=1.0)
     executor.connect()
     executor.enable()
     executor.home()
@@ -208,4 +208,4 @@ def execute(
     desk.close()
     if not may_stand_still:
         refuse_slept(executor.ended)
-    return executor, kept
+    return executor, sink

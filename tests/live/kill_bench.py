@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from tests.live.bench import table_of_counts, there_and_back, winder
-from tests.live.kept import Kept
+from tests.live.memory_sink import MemorySink
 from threadline.files import Commands
 from threadline.live import sim_process
 from threadline.live.executor import Executor
@@ -135,10 +135,10 @@ def forked_link(_program: str, request: tuple[Any, ...]) -> Iterator[Connection]
 
 def execute(
     end: socket.socket, which: Case, at_tick: Callable[[int], object]
-) -> tuple[Executor, Kept]:
+) -> tuple[Executor, MemorySink]:
     """Run a case to its end, or to the end of the link."""
-    kept, desk = Kept(), Desk()
-    executor = Executor(Connection(end), which.machine, desk, kept, speed=0.0)
+    sink, desk = MemorySink(), Desk()
+    executor = Executor(Connection(end), which.machine, desk, sink, speed=0.0)
     executor.connect()
     executor.enable()
     executor.home()
@@ -147,7 +147,7 @@ def execute(
         executor.step()
         at_tick(executor.tick)
     desk.close()
-    return executor, kept
+    return executor, sink
 
 
 def kill_executor(which: Case, tick: int, box: Path) -> dict[str, np.ndarray]:
@@ -172,11 +172,11 @@ def kill_executor(which: Case, tick: int, box: Path) -> dict[str, np.ndarray]:
     os.waitpid(executor, 0)
     os.close(there)
     assert os.waitpid(machine, 0)[1] == 0  # it has come to rest, and ended by itself
-    with np.load(box) as kept:
-        return {name.removeprefix("c_"): np.array(kept[name]) for name in kept.files}
+    with np.load(box) as counts:
+        return {name.removeprefix("c_"): np.array(counts[name]) for name in counts.files}
 
 
-def kill_machine(which: Case, tick: int) -> tuple[Executor, Kept]:
+def kill_machine(which: Case, tick: int) -> tuple[Executor, MemorySink]:
     """Kill the machine's process at a tick; return the executor and its recording."""
     ours, theirs = socket.socketpair()
 

@@ -255,7 +255,7 @@ def test_a_run_is_judged_again_by_what_it_was_proved_by(
 
 
 @pytest.mark.parametrize(
-    ("arguments", "said"),
+    ("arguments", "message"),
     [
         (("x-180.prg", "-m", "lathe-winder", "--link", "hal"), "unknown link 'hal'"),
         (("x-180.prg", "-m", "lathe-winder", "--speed", "-1"), "--speed -1 is not between 0"),
@@ -265,14 +265,14 @@ def test_a_run_is_judged_again_by_what_it_was_proved_by(
     ],
 )
 def test_wrong_input_is_one_line(
-    arguments: tuple[str, ...], said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    arguments: tuple[str, ...], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with pytest.raises(SystemExit) as ended:
         main(["run", str(EXAMPLES / arguments[0]), *arguments[1:], "--store", str(tmp_path / "r")])
     assert not (tmp_path / "r").exists()
     assert ended.value.code == 2
     captured = capsys.readouterr()
-    assert said in captured.err
+    assert message in captured.err
     assert len(captured.err.strip().splitlines()) == 1
     assert captured.out == ""
 

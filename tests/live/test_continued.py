@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from tests.live.bench import Wire
-from tests.live.kept import Kept
+from tests.live.memory_sink import MemorySink
 from threadline.cli.operator_keys import check_continued, continued_run
 from threadline.commands.plan import Plan
 from threadline.errors import LimitError, OptionError, RecordingError, StoreError
@@ -45,9 +45,9 @@ SHORT: list[Path] = []  # the design of the frame, written by its fixture
 @pytest.fixture(scope="module", autouse=True)
 def _short_design(tmp_path_factory: pytest.TempPathFactory) -> None:
     """Return forty stitches of two to eight millimetres for the frame."""
-    ways = np.random.default_rng(4).integers(20, 81, (40, 2)) * np.array([1, -1])
+    moves = np.random.default_rng(4).integers(20, 81, (40, 2)) * np.array([1, -1])
     SHORT[:] = [tmp_path_factory.mktemp("design") / "forty.exp"]
-    SHORT[0].write_bytes(ways.astype(np.int8).tobytes())
+    SHORT[0].write_bytes(moves.astype(np.int8).tobytes())
 
 
 @cache
@@ -68,16 +68,16 @@ def run(
     """Run a plan, or its rest, on a machine that was just switched on."""
     machine = plan.machine
     found = None if fault is None else parse_fault(f"{fault}", machine)
-    wire, kept = Wire(machine, run_kind_of(machine).start(plan.commands), found), Kept()
+    wire, sink = Wire(machine, run_kind_of(machine).start(plan.commands), found), MemorySink()
     wire.group = group_ticks(machine, 0.0)  # as the process of the machine has it
     with closing(Desk()) as desk:
         if asked is not None:
             desk.ask(asked)
         ended, why, _ = run_commands(
-            plan.commands, machine, nullcontext(wire), desk, kept,  # type: ignore[arg-type]
+            plan.commands, machine, nullcontext(wire), desk, sink,  # type: ignore[arg-type]
             Conduct(again=again, confirmed=confirmed), speed=0.0,
         )  # fmt: skip
-    return (ended, why), kept.recording(plan), wire
+    return (ended, why), sink.recording(plan), wire
 
 
 @cache
@@ -224,7 +224,7 @@ def test_nothing_moves_until_somebody_confirms(answer: bool | None, asked: Cause
                 desk.ask(asked)
 
             ended, why, _ = run_commands(
-                plan.commands, machine, nullcontext(wire), desk, Kept(),  # type: ignore[arg-type]
+                plan.commands, machine, nullcontext(wire), desk, MemorySink(),  # type: ignore[arg-type]
                 Conduct(again=again, confirmed=stopped), speed=0.0,
             )  # fmt: skip
         assert looks
@@ -247,7 +247,7 @@ def test_a_stop_on_the_approach_ends_it() -> None:
 
         wire.before_play = later
         ended, why, _ = run_commands(
-            plan.commands, machine, nullcontext(wire), desk, Kept(),  # type: ignore[arg-type]
+            plan.commands, machine, nullcontext(wire), desk, MemorySink(),  # type: ignore[arg-type]
             Conduct(again=again), speed=0.0,
         )  # fmt: skip
     assert ended is RunEnd.STOPPED
@@ -324,10 +324,10 @@ def test_another_job_a_completed_run_and_nobody_there_are_refused(tmp_path: Path
     spec = load_spec(None, plan.machine)
     write_proof(prove_plan(plan, spec), tmp_path / "a.proof.json")
     store = RunStore(tmp_path / "runs")
-    kept = store.begin(plan, read_proof(tmp_path / "a.proof.json"), {"link": "sim"}, 0.0)
-    with kept:
+    open_run = store.begin(plan, read_proof(tmp_path / "a.proof.json"), {"link": "sim"}, 0.0)
+    with open_run:
         pass
-    write_recording(broken_off("lathe-winder")[0], kept.trace)
+    write_recording(broken_off("lathe-winder")[0], open_run.trace)
 
     def ask(of: Plan) -> Continued | None:
         run_kind = run_kind_of(of.machine)
@@ -345,15 +345,15 @@ def test_another_job_a_completed_run_and_nobody_there_are_refused(tmp_path: Path
         replace(whole, job_sha256="0" * 64),
         replace(whole, origin={**whole.origin, "run": "20200101-000000-x-180"}),
     ):
-        write_recording(foreign, kept.trace)
+        write_recording(foreign, open_run.trace)
         with pytest.raises(StoreError, match="is the trace of another run"):
             ask(plan)
-    write_recording(whole, kept.trace)
+    write_recording(whole, open_run.trace)
     options = Options(interpolation="linear")
     other = plan_job(open_job(EXAMPLES / "x-180.prg", plan.machine, options), plan.machine, options)
     with pytest.raises(StoreError, match="had other rows than these"):
         ask(other)
-    store.index.end(kept.path.name, ended="completed", text="", late_ticks=0, passed=True)
+    store.index.end(open_run.path.name, ended="completed", text="", late_ticks=0, passed=True)
     with pytest.raises(StoreError, match="was completed: there is no rest of it"):
         ask(plan)
 
@@ -369,12 +369,12 @@ def test_options_of_a_continued_run_are_checked_before_anything_is_planned(tmp_p
         check_continued(folder, "nosuch", None, confirmed=False)
     assert not folder.exists()
     store = RunStore(folder)
-    with store.begin(plan, read_proof(tmp_path / "a.proof.json"), {"link": "sim"}, 0.0) as kept:
+    with store.begin(plan, read_proof(tmp_path / "a.proof.json"), {"link": "sim"}, 0.0) as open_run:
         pass
     with pytest.raises(StoreError, match="there is no run 'nosuch' in "):
         check_continued(folder, "nosuch", None, confirmed=False)
     with pytest.raises(OptionError, match="nobody is at the keyboard"):
         check_continued(folder, "last", None, confirmed=False)
-    store.index.end(kept.path.name, ended="completed", text="", late_ticks=0, passed=True)
+    store.index.end(open_run.path.name, ended="completed", text="", late_ticks=0, passed=True)
     with pytest.raises(StoreError, match="was completed: there is no rest of it"):
         check_continued(folder, "last", None, confirmed=False)

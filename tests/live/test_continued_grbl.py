@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from tests.live.grbl_model import GrblModel
-from tests.live.kept import Kept
+from tests.live.memory_sink import MemorySink
 from tests.live.test_grbl import MACHINE, patient, settings
 from threadline.cli.main import main
 from threadline.commands.plan import Plan
@@ -62,8 +62,8 @@ def run(
         main(["run", str(job), "-m", "stepper-winder", "--nominal", "--json", "--link",
               f"grbl:{model.address}", "--store", str(job.parent / "runs"), *words])  # fmt: skip
     model.close()
-    said = capsys.readouterr().out
-    return int(str(ended.value.code)), json.loads(said) if said else {}
+    output = capsys.readouterr().out
+    return int(str(ended.value.code)), json.loads(output) if output else {}
 
 
 def test_after_a_loss_of_power_it_is_approached_and_done_from_a_line_on(
@@ -102,8 +102,8 @@ def test_after_a_loss_of_power_it_is_approached_and_done_from_a_line_on(
     moved = np.array(model.moved_to)[:, [3, 0]]
     there = np.flatnonzero(np.abs(moved - begins).max(axis=1) < 0.02)
     assert len(there)
-    alone = np.abs(np.diff(moved[: there[0]], axis=0)) > 1e-9
-    assert not alone.all(axis=1).any()
+    one_by_one = np.abs(np.diff(moved[: there[0]], axis=0)) > 1e-9
+    assert not one_by_one.all(axis=1).any()
 
     recording = read_recording(joined)
     a, x = (
@@ -223,7 +223,7 @@ def test_nothing_is_sent_until_somebody_confirms(answer: bool | None) -> None:
     model = GrblModel(settings())
     model.start()
     link = link_of(f"grbl:{model.address}", MACHINE, 1.0, None)
-    desk, kept = Desk(), Kept()
+    desk, sink = Desk(), MemorySink()
 
     def confirmed() -> bool | None:
         looks.append(1)
@@ -235,7 +235,7 @@ def test_nothing_is_sent_until_somebody_confirms(answer: bool | None) -> None:
         link.prepare(plan)
         again = continued_by(plan, link.rest(plan, 2, at_rest=False))
         assert again.approach
-        ended = link.run(plan, desk, kept, Conduct(again=again, confirmed=confirmed))
+        ended = link.run(plan, desk, sink, Conduct(again=again, confirmed=confirmed))
     model.close()
     assert ended == (RunEnd.STOPPED, "nobody has confirmed that it may go on")
     assert len(looks) >= 3

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from tests.live.grbl_model import BLOCKS, GrblModel
-from tests.live.kept import Kept
+from tests.live.memory_sink import MemorySink
 from threadline.cli.main import main
 from threadline.errors import CommandError, LinkFaultError, OptionError, PlanError
 from threadline.files import RunEnd
@@ -60,11 +60,11 @@ def patient(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @contextmanager
-def meeting(model: GrblModel) -> Iterator[tuple[GrblRun, Desk, Kept]]:
+def meeting(model: GrblModel) -> Iterator[tuple[GrblRun, Desk, MemorySink]]:
     model.start()
-    desk, kept, port = Desk(), Kept(), Port(model.address)
+    desk, sink, port = Desk(), MemorySink(), Port(model.address)
     try:
-        yield GrblRun(Controller(port, MACHINE), desk, kept), desk, kept
+        yield GrblRun(Controller(port, MACHINE), desk, sink), desk, sink
     finally:
         port.close()
         desk.close()
@@ -87,7 +87,7 @@ def go_on(one: GrblRun, until: Callable[[], bool] = lambda: False) -> None:
 
 def test_a_program_is_run_whole_and_its_reports_are_a_recording() -> None:
     model = GrblModel(settings(), faster=4.0)
-    with meeting(model) as (one, _, kept):
+    with meeting(model) as (one, _, sink):
         ready(one, program())
         ahead = []
 
@@ -109,18 +109,18 @@ def test_a_program_is_run_whole_and_its_reports_are_a_recording() -> None:
         assert executed[-1] == 60
         # The recording lies on the program: A turns twice as far as X goes, in its units.
         a, x = (
-            np.concatenate([block.samples[f"{name}.commanded"] for block in kept.blocks])
+            np.concatenate([block.samples[f"{name}.commanded"] for block in sink.blocks])
             for name in "AX"
         )
         np.testing.assert_allclose(a / UNITS[0], 2.0 * x / UNITS[1], atol=0.01)
         assert (x[-1], len(x) > 20) == (pytest.approx(0.3), True)
-        events = [event.kind for block in kept.blocks for event in block.events]
+        events = [event.kind for block in sink.blocks for event in block.events]
         assert events == ["completed"]
 
 
 def test_a_hold_stands_on_the_path_and_goes_on_from_there() -> None:
     model = GrblModel(settings(), faster=2.0)
-    with meeting(model) as (one, desk, kept):
+    with meeting(model) as (one, desk, sink):
         ready(one, program())
         go_on(one, lambda: one.executed >= 5)
         desk.ask(Cause.HOLD)
@@ -134,7 +134,7 @@ def test_a_hold_stands_on_the_path_and_goes_on_from_there() -> None:
         go_on(one)
         assert one.ended == (RunEnd.COMPLETED, "")
         assert model.heard.count(b"G1 ") == 60
-        assert [cause for *_, cause, _ in kept.log][-3:] == [
+        assert [cause for *_, cause, _ in sink.log][-3:] == [
             Cause.HOLD, Cause.RESUME, Cause.COMPLETED,
         ]  # fmt: skip
 
@@ -156,25 +156,25 @@ def test_the_time_of_a_run_goes_on_within_a_line() -> None:
 def test_a_hold_after_the_last_line_is_refused_and_the_run_ends() -> None:
     """A feed hold then would leave the controller in Hold with nothing to resume."""
     model = GrblModel(settings(), faster=4.0)
-    with meeting(model) as (one, desk, kept):
+    with meeting(model) as (one, desk, sink):
         ready(one, program())
         go_on(one, lambda: one.ended is not None)
         before = model.heard.count(b"!")
         desk.ask(Cause.HOLD)
         go_on(one)
         assert (one.state, model.heard.count(b"!")) == (State.IDLE, before)
-        assert any("the run has come to its end" in text for *_, text in kept.log)
+        assert any("the run has come to its end" in text for *_, text in sink.log)
 
 
 def test_a_hold_of_the_controller_itself_is_one_of_the_run() -> None:
     """After M0 or its own button, nothing goes on before the operator says so."""
     model = GrblModel(settings(), faster=4.0)
-    with meeting(model) as (one, desk, kept):
+    with meeting(model) as (one, desk, sink):
         ready(one, program())
         go_on(one, lambda: one.executed >= 5)
         model.state = "Hold"
         go_on(one, lambda: one.state is State.HOLDING)
-        assert kept.log[-1][-1].startswith("the controller tells Hold: by its own hold button")
+        assert sink.log[-1][-1].startswith("the controller tells Hold: by its own hold button")
         assert b"~" not in model.heard
         desk.ask(Cause.RESUME)
         go_on(one)
@@ -199,14 +199,14 @@ def test_a_stop_is_ahead_of_what_was_sent_and_drops_it() -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message"),
     [
         ("T7\n", r"refused 'T7': error:20, it does not know this command"),
         ("alarm", "ALARM:1, a limit switch was hit, and its position is lost"),
         ("beside", "beside the lines"),
     ],
 )
-def test_error_of_grbl_stops_the_run_with_a_fault(text: str, said: str) -> None:
+def test_error_of_grbl_stops_the_run_with_a_fault(text: str, message: str) -> None:
     model = GrblModel(settings())
     with meeting(model) as (one, _, _):
         lines = LINES.splitlines(keepends=True)
@@ -218,7 +218,7 @@ def test_error_of_grbl_stops_the_run_with_a_fault(text: str, said: str) -> None:
             model.beside_mm = 20.0
         go_on(one)
         assert one.state is State.FAULT
-        assert said.replace("\\", "") in (one.ended or ("", ""))[1]
+        assert message.replace("\\", "") in (one.ended or ("", ""))[1]
         assert not model.blocks
         assert model.heard.rstrip(b"?").endswith(b"\x18")
 
@@ -265,16 +265,18 @@ def test_moving_controller_is_refused_at_the_meeting() -> None:
 
 
 @pytest.mark.parametrize(
-    ("number", "factor", "said"),
+    ("number", "factor", "message"),
     [(100, 1.01, "the steps of X"), (103, 0.99, "the steps of A"), (110, 1.1, "the speed of X"),
      (123, 2.0, "the acceleration of A")],
 )  # fmt: skip
-def test_a_controller_of_another_machine_is_refused(number: int, factor: float, said: str) -> None:
+def test_a_controller_of_another_machine_is_refused(
+    number: int, factor: float, message: str
+) -> None:
     """grbl plans by its settings: they must equal the machine file's limits, or be slower."""
     wrong = settings()
     wrong[number] *= factor
     model = GrblModel(wrong)
-    with meeting(model) as (one, _, _), pytest.raises(CommandError, match=said):
+    with meeting(model) as (one, _, _), pytest.raises(CommandError, match=message):
         one.controller.meet()
     assert b"G1" not in model.heard
 

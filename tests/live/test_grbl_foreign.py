@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from tests.live.grbl_model import GrblModel
-from tests.live.kept import Kept
+from tests.live.memory_sink import MemorySink
 from tests.live.test_grbl import MACHINE, go_on, meeting, program, ready, settings
 from threadline.errors import CommandError, LinkFaultError
 from threadline.files import RunEnd
@@ -162,7 +162,7 @@ def test_flood_of_text_from_the_controller_does_not_block_the_operator(content: 
     """The operator, who may have asked for a stop, is served in between."""
     with flooding(content) as address:
         port, desk = Port(address), Desk()
-        one = grbl_run.GrblRun(Controller(port, MACHINE), desk, Kept())
+        one = grbl_run.GrblRun(Controller(port, MACHINE), desk, MemorySink())
         one.state = State.RUNNING
         one._heard_s = began = time.monotonic()
         one._listen()

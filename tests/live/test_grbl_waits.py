@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from tests.live.grbl_model import GrblModel
-from tests.live.kept import Kept
+from tests.live.memory_sink import MemorySink
 from tests.live.test_grbl import (
     EXAMPLES,
     MACHINE,
@@ -133,14 +133,14 @@ def test_a_state_in_which_no_run_goes_on_ends_it(state: str, says: str) -> None:
 
 def test_a_door_is_told_and_nothing_goes_on_before_it_is_closed() -> None:
     model = GrblModel(settings(), faster=2.0)
-    with meeting(model) as (one, desk, kept):
+    with meeting(model) as (one, desk, sink):
         ready(one, program())
         go_on(one, moving(model))
         model.state = "Door:1"
         go_on(one, lambda: one.state is State.HOLDING)
         assert "its safety door is open" in one.why
         desk.ask(Cause.RESUME)
-        go_on(one, lambda: "Close the door" in str(kept.log[-1][-1]) or "open" in kept.log[-1][-1])
+        go_on(one, lambda: "Close the door" in str(sink.log[-1][-1]) or "open" in sink.log[-1][-1])
         assert one.state is State.HOLDING
         assert b"~" not in model.heard
         model.state = "Door:0"
@@ -164,7 +164,7 @@ def test_a_stop_at_an_open_door_ends_at_once() -> None:
 
 def test_resume_button_of_the_controller_ends_a_hold() -> None:
     model = GrblModel(settings(), faster=2.0)
-    with meeting(model) as (one, _, kept):
+    with meeting(model) as (one, _, sink):
         ready(one, program())
         go_on(one, moving(model))
         model.state = "Hold"
@@ -172,7 +172,7 @@ def test_resume_button_of_the_controller_ends_a_hold() -> None:
         model.state = "Run"
         go_on(one)
         assert one.ended == (RunEnd.COMPLETED, "")
-        assert "the controller goes on by itself" in [text for *_, text in kept.log]
+        assert "the controller goes on by itself" in [text for *_, text in sink.log]
 
 
 class Silent(GrblModel):
@@ -213,9 +213,9 @@ def test_a_hold_that_nobody_can_end_is_stopped(
     os.close(terminal)
     os.close(keyboard)
     assert desk.take() is (Cause.STOP if alone else None)
-    said = capsys.readouterr().err
-    assert "holding: its door is open; " in said
-    assert ("nobody is at the keyboard" in said) is alone
+    errors = capsys.readouterr().err
+    assert "holding: its door is open; " in errors
+    assert ("nobody is at the keyboard" in errors) is alone
     assert (run.stopped_by == "Threadline: nobody is at the keyboard to resume") is alone
     desk.close()
 
@@ -344,7 +344,7 @@ def test_a_run_is_repeated_by_an_approach(approach: bool) -> None:
         desk.ask(Cause.STOP)
 
     def run() -> RunEnd:
-        return link.run(plan, desk, Kept(), Conduct(watch=stop))[0]
+        return link.run(plan, desk, MemorySink(), Conduct(watch=stop))[0]
 
     try:
         if approach:
@@ -386,8 +386,8 @@ STOPS = "G1 X300 F6000\nM0\nG1 X200\nM0\nG1 X100\n"
 def test_stops_of_the_program_are_passed_only_when_asked(passed: bool) -> None:
     """Otherwise it stands at the first M0 until the operator resumes."""
     model = GrblModel(settings(), faster=4.0)
-    with meeting(model) as (plain, desk, kept):
-        one = GrblRun(plain.controller, desk, kept, pass_stops=passed)
+    with meeting(model) as (plain, desk, sink):
+        one = GrblRun(plain.controller, desk, sink, pass_stops=passed)
         ready(one, program(STOPS))
         if passed:
             go_on(one)
@@ -402,8 +402,8 @@ def test_stops_of_the_program_are_passed_only_when_asked(passed: bool) -> None:
 def test_a_hold_by_the_button_before_a_stop_stays() -> None:
     """The M0 is the first line without an answer, but the machine has not reached it."""
     model = GrblModel(settings(), faster=0.5)
-    with meeting(model) as (plain, desk, kept):
-        one = GrblRun(plain.controller, desk, kept, pass_stops=True)
+    with meeting(model) as (plain, desk, sink):
+        one = GrblRun(plain.controller, desk, sink, pass_stops=True)
         ready(one, program(STOPS))
         go_on(one, lambda: model.at[0] > 60.0)
         model.state = "Hold"
@@ -417,26 +417,26 @@ def test_a_hold_by_the_button_before_a_stop_stays() -> None:
 # --- changes at the controller -------------------------------------------------------------
 
 
-def noted(kept: Kept) -> list[tuple[str, str]]:
-    return [(e.kind, e.name) for block in kept.blocks for e in block.events]
+def noted(sink: MemorySink) -> list[tuple[str, str]]:
+    return [(e.kind, e.name) for block in sink.blocks for e in block.events]
 
 
 def test_an_override_set_at_the_controller_is_written_down() -> None:
     """Grbl v1.1 Interface: ``Ov:`` in a report is feed, rapids and spindle in percent."""
     model = GrblModel(settings(), faster=2.0)
-    with meeting(model) as (one, _, kept):
+    with meeting(model) as (one, _, sink):
         ready(one, program())
         go_on(one, moving(model))
         model.overrides = (50, 25, 100)
-        go_on(one, lambda: kept.log[-1][2] is Cause.OVERRIDE)
-        assert kept.log[-1][1:] == (
+        go_on(one, lambda: sink.log[-1][2] is Cause.OVERRIDE)
+        assert sink.log[-1][1:] == (
             State.RUNNING, Cause.OVERRIDE,
             "overrides set at the controller: feed 50 %, rapids 25 %",
         )  # fmt: skip
         model.overrides = (100, 100, 100)
         go_on(one)
         assert one.ended == (RunEnd.COMPLETED, "")
-        assert noted(kept) == [
+        assert noted(sink) == [
             ("override", "feed 50 %, rapids 25 %"), ("override", "none"), ("completed", ""),
         ]  # fmt: skip
 
@@ -445,21 +445,21 @@ def test_an_override_set_at_the_controller_is_written_down() -> None:
 def test_an_override_of_the_operator_is_stepped_to_and_read_back(percent: int) -> None:
     """Equal bytes that arrive together count as one; the override is recorded once reached."""
     model = GrblModel(settings())
-    with meeting(model) as (one, desk, kept):
+    with meeting(model) as (one, desk, sink):
         ready(one, program())
         go_on(one, moving(model))
         desk.override(percent)
-        go_on(one, lambda: one.percent == percent and len(noted(kept)) == 1)
+        go_on(one, lambda: one.percent == percent and len(noted(sink)) == 1)
         assert model.overrides == (percent, 100, 100)
         desk.override(100)
         go_on(one, lambda: one.percent == 100)
         desk.override(110)
         go_on(one)
         assert one.ended == (RunEnd.COMPLETED, "")
-        assert noted(kept) == [
+        assert noted(sink) == [
             ("override", f"feed {percent} %"), ("override", "none"), ("completed", ""),
         ]  # fmt: skip
-        refused = [text for *_, text in kept.log if "not within" in text]
+        refused = [text for *_, text in sink.log if "not within" in text]
         assert refused == [
             "an override of 110 % is not within the 10 to 100 % that the proof covers"
         ]
@@ -468,26 +468,26 @@ def test_an_override_of_the_operator_is_stepped_to_and_read_back(percent: int) -
 def test_a_controller_that_takes_no_override_is_told_of() -> None:
     model = GrblModel(settings(), faster=0.5)
     model.overridable = False
-    with meeting(model) as (one, desk, kept):
+    with meeting(model) as (one, desk, sink):
         ready(one, program())
         go_on(one, moving(model))
         desk.override(50)
-        go_on(one, lambda: kept.log[-1][2] is Cause.OVERRIDE)
-        assert kept.log[-1][3].endswith("override the feed by 50 %, and reports 100 %")
+        go_on(one, lambda: sink.log[-1][2] is Cause.OVERRIDE)
+        assert sink.log[-1][3].endswith("override the feed by 50 %, and reports 100 %")
         assert one.state is State.RUNNING
 
 
 @pytest.mark.parametrize("lasts", [True, False])
 def test_an_override_from_before_a_run_is_one_of_it_unless_a_reset_ended_it(lasts: bool) -> None:
     model = GrblModel(settings(), faster=4.0)
-    with meeting(model) as (plain, desk, kept):
-        one = GrblOperated(plain.controller, desk, kept)
+    with meeting(model) as (plain, desk, sink):
+        one = GrblOperated(plain.controller, desk, sink)
         one.connect()
         one.enable()
         one.home()
         model.overrides = (120, 100, 100)
         until = time.monotonic() + PATIENCE_S
-        while model.told_overrides != model.overrides and time.monotonic() < until:
+        while model.reported_overrides != model.overrides and time.monotonic() < until:
             one.stand(0.05)
         for _ in range(5):  # the link reads the report
             one.stand(0.05)
@@ -499,7 +499,7 @@ def test_an_override_from_before_a_run_is_one_of_it_unless_a_reset_ended_it(last
             one.enable()
             one.home()
         one.start(program(), START)
-        assert noted(kept) == ([("override", "feed 120 %")] if lasts else [])
+        assert noted(sink) == ([("override", "feed 120 %")] if lasts else [])
 
 
 def test_holds_and_overrides_of_the_controller_are_named_in_the_verdict(

@@ -28,7 +28,7 @@ AT = 200  # at 10 counts per tick, on the way out
 
 
 @pytest.mark.parametrize(
-    ("kind", "where", "said", "within_ticks"),
+    ("kind", "where", "message", "within_ticks"),
     [
         # Twice the lag of 29 ms at 36 mm/s and 1 mm are 3.1 mm of following error, 2.1 mm more
         # than a sound machine has: that takes 58 ms, and the report after it.
@@ -40,25 +40,25 @@ AT = 200  # at 10 counts per tick, on the way out
         ("one-late-tick", "", "a tick came 6 periods late", 5),
     ],
 )
-def test_a_fault_brakes_on_the_path(kind: str, where: str, said: str, within_ticks: int) -> None:
+def test_a_fault_brakes_on_the_path(kind: str, where: str, message: str, within_ticks: int) -> None:
     bench = Bench(fault=SimFault(kind, AT, where)).ready()
     bench.executor.start(TABLE)
     bench.go_on()
     assert bench.executor.state is State.FAULT
     ended, text = bench.executor.ended or (None, "")
     assert ended is RunEnd.FAULT
-    assert said in text
-    tripped = next(tick for tick, state, _, _ in bench.kept.log if state is State.FAULT)
+    assert message in text
+    tripped = next(tick for tick, state, _, _ in bench.sink.log if state is State.FAULT)
     assert AT <= tripped <= AT + within_ticks + 5
     # 10 counts per tick brake within 4 ticks, on the path: A turns a count for each of X.
     counts = bench.commanded()
     assert counts[-1, 0] - counts[tripped, 0] <= 4 * 10
     assert abs(counts[-1, 0] - counts[-1, 1]) <= 1
-    events = [event.kind for block in bench.kept.blocks for event in block.events]
+    events = [event.kind for block in bench.sink.blocks for event in block.events]
     assert events.count("fault") == 1
     # The recording goes on until the machine has settled, as at any other end.
     assert len(counts) - tripped > 100
-    assert [state for _, state, _, _ in bench.kept.log].count(State.FAULT) == 1
+    assert [state for _, state, _, _ in bench.sink.log].count(State.FAULT) == 1
 
 
 def report_of(commanded: np.ndarray, read: np.ndarray) -> dict[str, np.ndarray]:
@@ -68,12 +68,12 @@ def report_of(commanded: np.ndarray, read: np.ndarray) -> dict[str, np.ndarray]:
 
 def test_an_axis_that_falls_behind_is_a_fault_at_twice_its_lag_and_1_mm() -> None:
     """At 36 mm/s the lag is 29.4 ms: 1.06 mm behind is sound, and 3.1 mm is the limit."""
-    told = 0.036 * 0.005 * np.arange(400)
+    positions_m = 0.036 * 0.005 * np.arange(400)
     for behind, trips in ((1.06e-3, False), (3.0e-3, False), (3.3e-3, True)):
         guards = Guards(winder())
-        read = np.maximum(told - behind, 0.5 * told)  # it falls behind while it moves
+        read = np.maximum(positions_m - behind, 0.5 * positions_m)  # it falls behind while it moves
         found = [
-            guards.trip(at, report_of(told[at : at + 5], read[at : at + 5]), False, 0.0)
+            guards.trip(at, report_of(positions_m[at : at + 5], read[at : at + 5]), False, 0.0)
             for at in range(0, 400, 5)
         ]
         assert any(found) is trips, behind
@@ -111,7 +111,7 @@ def test_a_new_connection_moves_nothing() -> None:
     stands = bench.wire.machine.position.copy()
     bench.wire._answers.clear()
     bench.wire.machine.greet()
-    again = Executor(bench.wire, winder(), bench.desk, bench.kept, speed=0.0)  # type: ignore[arg-type]
+    again = Executor(bench.wire, winder(), bench.desk, bench.sink, speed=0.0)  # type: ignore[arg-type]
     again.connect()
     assert again.state is State.DISABLED
     for ask in (lambda: again.start(TABLE), lambda: again.jog("X", 0.02)):
@@ -130,7 +130,7 @@ def test_a_pressed_emergency_stop_is_told_and_nothing_starts_while_it_is() -> No
         State.FAULT, (RunEnd.FAULT, "the emergency stop is pressed"),
     )  # fmt: skip
     assert AT <= executor.tick <= AT + 5
-    events = [event for block in bench.kept.blocks for event in block.events]
+    events = [event for block in bench.sink.blocks for event in block.events]
     assert [event.name for event in events if event.kind == "fault"] == [
         "the emergency stop is pressed"
     ]
@@ -148,7 +148,7 @@ def test_a_link_that_is_gone_is_a_fault_at_once(kind: str) -> None:
     bench.go_on()
     assert bench.executor.ended == (RunEnd.FAULT, "the link is gone")
     assert AT <= bench.executor.tick <= AT + 5
-    events = [event for block in bench.kept.blocks for event in block.events]
+    events = [event for block in bench.sink.blocks for event in block.events]
     assert (events[-1].kind, events[-1].name) == ("fault", "the link is gone")
 
 
@@ -220,7 +220,7 @@ def test_the_lag_is_the_models() -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message"),
     [
         ("stuck-encoder:Q@1 s", "has no 'Q'"),
         ("stuck-encoder@1 s", "does not say where"),
@@ -232,8 +232,8 @@ def test_the_lag_is_the_models() -> None:
         ("stuck-encoder:X@1e300 s", "'1e300 s' is no time of a run"),
     ],
 )
-def test_a_fault_that_there_is_not_is_refused(text: str, said: str) -> None:
-    with pytest.raises(OptionError, match=said):
+def test_a_fault_that_there_is_not_is_refused(text: str, message: str) -> None:
+    with pytest.raises(OptionError, match=message):
         parse_fault(text, winder())
 
 

@@ -18,15 +18,15 @@ from tests.live.bench import table_of_counts, there_and_back, winder
 from tests.live.hal_bench import (
     awake,
     bridge,
+    commanded_in,
     execute,
     hal_alone,
     left_samples,
     refuse_slept,
-    told_in,
     unhurried,
 )
-from tests.live.kept import Kept
 from tests.live.kill_bench import child
+from tests.live.memory_sink import MemorySink
 from tests.live.test_pace import plan_ticks
 from threadline import machine as machine_package
 from threadline.cli.main import main
@@ -51,7 +51,7 @@ LIBRARY = Path(machine_package.__file__).parent / "library" / "lathe-winder.toml
 
 
 @pytest.fixture(autouse=True)
-def alone(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+def hal_lock(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """Run one of these tests at a time."""
     with hal_alone(monkeypatch), unhurried(monkeypatch):
         yield
@@ -114,11 +114,11 @@ def test_a_program_runs_and_is_labelled(tmp_path: Path, capsys: pytest.CaptureFi
             main(["run", str(job), "-m", "lathe-winder", "--link", "hal:plant", "--json",
                   "--interpolation", "b-spline", "--feed", "40count/tick", "--override", "a test",
                   "--nominal", *store])  # fmt: skip
-        said = capsys.readouterr()
+        captured = capsys.readouterr()
         if ended.value.code != 3:
             break
-    assert ended.value.code == 1, said.err
-    content = json.loads(said.out)
+    assert ended.value.code == 1, captured.err
+    content = json.loads(captured.out)
     assert content["label"] == "HAL's plant, a lag for each axis: not the machine"
     statuses = {one["name"]: one["status"] for one in content["criteria"]}
     assert statuses["contour_error"] == "not-measured"
@@ -143,20 +143,20 @@ def test_hold_resume_and_stop(tmp_path: Path) -> None:
             desk.ask(Cause.RESUME)
 
     with bridge(winder(), ZERO, tmp_path / "box", plant=True) as far:
-        executor, kept = execute(far.end, winder(), table_of_counts(ROWS), at_tick)
+        executor, sink = execute(far.end, winder(), table_of_counts(ROWS), at_tick)
     assert executor.ended == (RunEnd.COMPLETED, "")
-    assert [state for _, state, _, _ in kept.log].count(State.HOLDING) == 1
+    assert [state for _, state, _, _ in sink.log].count(State.HOLDING) == 1
     x, a = on_path(tmp_path / "box")
     assert x[-1] == 0.0
     assert a[-1] == np.abs(ROWS[:, 1]).sum()
-    measured = np.concatenate([block.samples["X.measured"] for block in kept.blocks])
-    commanded = np.concatenate([block.samples["X.commanded"] for block in kept.blocks])
+    measured = np.concatenate([block.samples["X.measured"] for block in sink.blocks])
+    commanded = np.concatenate([block.samples["X.commanded"] for block in sink.blocks])
     lag_s = 0.0294  # of X, as in docs/safety.md
     assert np.abs(measured - commanded).max() == pytest.approx(
         0.036 * lag_s, abs=2.0 / X_M
     )  # a count of rounding each way
     # The trace has the plan time of each tick, at which the table is where HAL commanded X.
-    ticks = plan_ticks(kept.blocks, len(commanded))
+    ticks = plan_ticks(sink.blocks, len(commanded))
     places = np.append(0, np.cumsum(ROWS[:, 1]))
     meant = np.interp(np.minimum(ticks, len(ROWS)), np.arange(len(places)), places)
     assert np.abs(commanded * X_M - meant).max() <= 0.5 + 1e-6
@@ -165,7 +165,7 @@ def test_hold_resume_and_stop(tmp_path: Path) -> None:
 
 def on_path(box: Path) -> tuple[np.ndarray, np.ndarray]:
     """Return counts of X and A; A turns one count for each of X, forth and back."""
-    counts = told_in(box, 3)
+    counts = commanded_in(box, 3)
     a, x = counts[:, 1], counts[:, 2]
     way = np.cumsum(np.abs(np.diff(x, prepend=0.0)))
     assert np.abs(a - way).max() <= 2.0  # a count of rounding each way
@@ -174,7 +174,7 @@ def on_path(box: Path) -> tuple[np.ndarray, np.ndarray]:
 
 def ends_at_rest(box: Path) -> bool:
     """Return whether the rows themselves come to rest, without HAL holding the last one."""
-    commanded = told_in(box, 3)
+    commanded = commanded_in(box, 3)
     fresh = commanded[np.diff(commanded[:, 0], prepend=-1.0) > 0, 1:]
     return bool((fresh[-3:] == fresh[-1]).all())
 
@@ -190,20 +190,20 @@ def test_a_stop_brakes_along_the_path_and_the_rest_is_done(tmp_path: Path) -> No
             desk.ask(Cause.STOP)
 
     with bridge(winder(), ZERO, tmp_path / "box", plant=False) as far:
-        executor, kept = execute(far.end, winder(), table_of_counts(ROWS), at_tick)
+        executor, sink = execute(far.end, winder(), table_of_counts(ROWS), at_tick)
     assert executor.ended == (RunEnd.STOPPED, "stopped by the operator")
     on_path(tmp_path / "box")
     # Its first tick was past when it arrived, so it was sent again for a later tick.
     assert executor._lead == LEAD_TICKS, "this computer slept"
-    commanded = np.concatenate([block.samples["X.commanded"] for block in kept.blocks])
+    commanded = np.concatenate([block.samples["X.commanded"] for block in sink.blocks])
     assert np.abs(np.diff(commanded[at[0] :])).sum() <= 2e-3
 
-    executed = max(int(block.samples["operation"].max(initial=0.0)) for block in kept.blocks)
+    executed = max(int(block.samples["operation"].max(initial=0.0)) for block in sink.blocks)
     rest = rest_of_rows(table_of_counts(ROWS), winder(), executed, at_rest=False)
     assert rest.left_out >= 50
     begins = [int(count) for count in rest.begins]
     approach = list(zip(winder().axes, begins, strict=True))
-    again, more = Continued(rest=rest, line=0, approach=approach, notes=()), Kept()
+    again, more = Continued(rest=rest, line=0, approach=approach, notes=()), MemorySink()
     with (
         bridge(winder(), ZERO, tmp_path / "rest", plant=False) as far,
         closing(Desk()) as desk,
@@ -220,7 +220,7 @@ def test_a_stop_brakes_along_the_path_and_the_rest_is_done(tmp_path: Path) -> No
         )
     refuse_slept(ended[:2])
     assert ended[:2] == (RunEnd.COMPLETED, "")
-    references = told_in(tmp_path / "rest", 3)[:, 1:]
+    references = commanded_in(tmp_path / "rest", 3)[:, 1:]
     assert (references[-1] == ROWS.sum(axis=0)).all()
     there = int(np.flatnonzero((references == begins).all(axis=1))[0])
     moved = np.diff(references[: there + 1], axis=0) != 0.0
@@ -239,7 +239,7 @@ def test_a_jog_at_manual_feed_ends_by_itself(gone: bool, tmp_path: Path) -> None
     box, desk, renewed_at = tmp_path / "box", Desk(), 0
     with bridge(winder(), ZERO, box, plant=False) as far:
         link = Connection(far.end)
-        executor = Executor(link, winder(), desk, Kept(), speed=1.0)
+        executor = Executor(link, winder(), desk, MemorySink(), speed=1.0)
         executor.connect()
         executor.enable()
         executor.home()
@@ -249,7 +249,7 @@ def test_a_jog_at_manual_feed_ends_by_itself(gone: bool, tmp_path: Path) -> None
             refuse_slept(executor.ended)
             assert executor.state is State.JOGGING, executor.ended
             executor.renew()
-            renewed_at = int(executor.stands[1])
+            renewed_at = int(executor.position_counts[1])
         if gone:
             link.close()  # without a message
         else:
@@ -259,7 +259,7 @@ def test_a_jog_at_manual_feed_ends_by_itself(gone: bool, tmp_path: Path) -> None
             assert "nobody has renewed its lease" in executor.ended[1]  # type: ignore[index]
             executor.close()
     desk.close()
-    commanded = told_in(box, 3)[:, 2]
+    commanded = commanded_in(box, 3)[:, 2]
     assert renewed_at > 0.02 * X_M, "it was on its way"
     assert (commanded[-5:] == commanded[-1]).all()
     assert commanded[-1] - renewed_at <= (0.010 if gone else 0.026) * X_M
@@ -289,10 +289,10 @@ def killed(tick: int, folder: Path, whom: str) -> np.ndarray:
     with bridge(winder(), ZERO, box, plant=False) as far:
         there, here = os.pipe()
 
-        def run(end: socket.socket = far.end, told: int = here) -> None:
+        def run(end: socket.socket = far.end, signal_end: int = here) -> None:
             execute(
                 end, winder(), table_of_counts(ROWS),
-                lambda executor, _: os.write(told, b"!") if executor.tick >= tick else None,
+                lambda executor, _: os.write(signal_end, b"!") if executor.tick >= tick else None,
             )  # fmt: skip
 
         pid = child(run)
@@ -301,7 +301,7 @@ def killed(tick: int, folder: Path, whom: str) -> np.ndarray:
             os.close(here)  # killed by this test: if the run ends before, nothing is read
             assert os.read(there, 1) == b"!", "this computer slept, and the run ended before"
             os.kill(pid if whom == "executor" else far.pid, signal.SIGKILL)
-            seen = len(told_in(box, 3)) if box.exists() else 0
+            seen = len(commanded_in(box, 3)) if box.exists() else 0
             if whom == "bridge":
                 time.sleep(1.0)  # longer than the content of the fifo
                 with box.open("ab") as more:
@@ -330,7 +330,7 @@ def test_kill_hal(tick: int, tmp_path: Path) -> None:
             os.kill(killed_it[0], signal.SIGKILL)
 
     with bridge(winder(), ZERO, tmp_path / "box", plant=False) as far:
-        executor, kept = execute(
+        executor, sink = execute(
             far.end, winder(), table_of_counts(ROWS), at_tick, may_stand_still=True
         )
     assert killed_it, executor.ended  # or HAL got no processor before
@@ -338,7 +338,7 @@ def test_kill_hal(tick: int, tmp_path: Path) -> None:
     assert executor.ended is not None
     assert executor.ended[0] is RunEnd.FAULT
     assert "has stood still" in executor.ended[1]
-    assert sum(len(block.samples["X.commanded"]) for block in kept.blocks) >= tick
+    assert sum(len(block.samples["X.commanded"]) for block in sink.blocks) >= tick
 
 
 @awake

@@ -22,7 +22,7 @@ ZERO = np.zeros(3, np.int64)
 
 
 @pytest.fixture(autouse=True)
-def alone(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+def hal_lock(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """Run one test of HAL at a time."""
     with hal_alone(monkeypatch):
         yield

@@ -23,10 +23,10 @@ ZERO = np.zeros(3, dtype=np.int64)
 
 
 class Played:
-    """Stand-in for a running HAL: it plays each record as sent, or as changed by ``told``."""
+    """Stand-in for a running HAL: it plays each record as sent, or as changed by ``measure``."""
 
-    def __init__(self, told: Callable[[np.ndarray], np.ndarray]) -> None:
-        self._told, self.end, self.lost = told, 0, 0
+    def __init__(self, measure: Callable[[np.ndarray], np.ndarray]) -> None:
+        self._measure, self.end, self.lost = measure, 0, 0
         self._taken, self._places = 0, np.zeros((0, 3))
         self.alive = True
 
@@ -47,8 +47,8 @@ class Played:
     def samples(self) -> Samples:
         until = self._taken + (TICKS if self.alive else 0)
         numbers, self._taken = np.arange(self._taken, until), until
-        told = self._told(self._places[numbers])
-        return Samples(numbers, np.full(len(numbers), 0.005), told, told)
+        measured = self._measure(self._places[numbers])
+        return Samples(numbers, np.full(len(numbers), 0.005), measured, measured)
 
 
 def heard(hal: Played, reports: int, after: Callable[[], None] = lambda: None) -> list[Message]:

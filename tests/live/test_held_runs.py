@@ -51,7 +51,7 @@ def held(plan: Plan) -> Recording:
             bench.desk.ask(Cause.RESUME)
     bench.go_on()
     assert bench.executor.ended == (RunEnd.COMPLETED, "")
-    return bench.kept.recording(plan)
+    return bench.sink.recording(plan)
 
 
 @pytest.fixture(scope="module")

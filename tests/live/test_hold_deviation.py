@@ -87,7 +87,7 @@ def test_a_hold_then_stands_at_the_next_rest_and_goes_on_from_there() -> None:
     bench.desk.ask(Cause.HOLD)
     bench.go_on(900)
     assert bench.executor.state is State.HOLDING
-    assert [text for *_, cause, text in bench.kept.log if cause is Cause.HOLD] == [
+    assert [text for *_, cause, text in bench.sink.log if cause is Cause.HOLD] == [
         "it goes on to the next rest and stands there"
     ]
     counts = bench.commanded()

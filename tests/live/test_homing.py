@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from tests.live.bench import Bench, Wire, table_of_counts, there_and_back, winder
-from tests.live.kept import Kept
 from tests.live.kill_bench import child
+from tests.live.memory_sink import MemorySink
 from threadline.files import RunEnd
 from threadline.live import sim_process
 from threadline.live.executor import Executor
@@ -47,9 +47,9 @@ def test_a_stop_ends_homing_at_once_and_it_is_not_homed(monkeypatch: pytest.Monk
     """The stop comes after the begin of homing, which lasts three times as long here."""
     homing_s = 3.0 * sim_process.HOMING_S
     monkeypatch.setattr(sim_process, "HOMING_S", homing_s)
-    desk, kept = Desk(), Kept()
+    desk, sink = Desk(), MemorySink()
     with in_real_time() as link:
-        executor = Executor(link, winder(), desk, kept, speed=1.0)
+        executor = Executor(link, winder(), desk, sink, speed=1.0)
         executor.connect()
         executor.enable()
         send = link.send
@@ -62,7 +62,7 @@ def test_a_stop_ends_homing_at_once_and_it_is_not_homed(monkeypatch: pytest.Monk
         with monkeypatch.context() as asked:
             asked.setattr(link, "send", send_and_stop)
             executor.home()
-        assert [cause for _, _, cause, _ in kept.log] == [
+        assert [cause for _, _, cause, _ in sink.log] == [
             Cause.ENABLE, Cause.HOME, Cause.STOP, Cause.AT_REST_UNHOMED,
         ]  # fmt: skip
         assert executor.state is State.ENABLED
@@ -75,7 +75,7 @@ def test_a_stop_ends_homing_at_once_and_it_is_not_homed(monkeypatch: pytest.Monk
 
 
 def test_a_run_that_is_stopped_while_it_homes_never_begins() -> None:
-    desk, kept, sent = Desk(), Kept(), list[str]()
+    desk, sink, sent = Desk(), MemorySink(), list[str]()
 
     class Slow(Wire):
         """A link that answers only after somebody stops it."""
@@ -85,7 +85,7 @@ def test_a_run_that_is_stopped_while_it_homes_never_begins() -> None:
             if message.kind == "home":
                 desk.ask(Cause.STOP)
             elif message.kind == "stop-home":
-                self._told(Message("refused", {"what": "home", "why": "it was stopped"}))
+                self._receive(Message("refused", {"what": "home", "why": "it was stopped"}))
             else:
                 super().send(message)
 
@@ -94,7 +94,7 @@ def test_a_run_that_is_stopped_while_it_homes_never_begins() -> None:
         yield Slow(winder())
 
     ended, text, _ = run_commands(
-        table_of_counts(ROWS), winder(), link(), desk, kept, speed=0.0  # type: ignore[arg-type]
+        table_of_counts(ROWS), winder(), link(), desk, sink, speed=0.0  # type: ignore[arg-type]
     )  # fmt: skip
     assert (ended, text) == (RunEnd.STOPPED, "stopped by the operator while it homed")
     assert sent == ["enable", "home", "stop-home", "leave"]
@@ -111,7 +111,7 @@ def test_a_braking_that_is_refused_comes_again_later(cause: Cause) -> None:
     def take(message: Message) -> None:
         if message.kind == "refill" and asked and not refused:
             refused.append(int(message.head["first"]))
-            bench.wire._told(Message("refused", {"what": "refill", "why": "that tick is past"}))
+            bench.wire._receive(Message("refused", {"what": "refill", "why": "that tick is past"}))
         else:
             takes(message)
 

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.live.bench import Bench, table_of_counts, there_and_back, winder
-from tests.live.kept import Kept
+from tests.live.memory_sink import MemorySink
 from threadline.errors import CommandError
 from threadline.files import RunEnd
 from threadline.live.braking import CountLimits
@@ -261,7 +261,7 @@ def test_a_first_motion_to_where_it_stands_ends_in_real_time(
     monkeypatch.setattr("threadline.live.guards.LATE_PERIODS", 1e9)
     machine, desk = winder(), Desk()
     with sim_link(machine, np.zeros(3, np.int64), REAL_TIME) as link, closing(desk):
-        executor = Executor(link, machine, desk, Kept(), speed=REAL_TIME)
+        executor = Executor(link, machine, desk, MemorySink(), speed=REAL_TIME)
         executor.connect()
         executor.enable()
         executor.home()

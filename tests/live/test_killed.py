@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 
 from tests.live.bench import table_of_counts, there_and_back, winder
-from tests.live.kept import Kept
+from tests.live.memory_sink import MemorySink
 from threadline.files import RunEnd
 from threadline.live import sim_process
 from threadline.live.executor import Executor
@@ -75,9 +75,9 @@ def machine_with_black_box(end: socket.socket, box: Path) -> None:
     box.write_text(json.dumps(Watched.box), "utf-8")
 
 
-def execute(end: socket.socket, at_tick: Callable[[int], None]) -> tuple[Executor, Kept]:
-    kept, desk = Kept(), Desk()
-    executor = Executor(Connection(end), winder(), desk, kept, speed=SPEED)
+def execute(end: socket.socket, at_tick: Callable[[int], None]) -> tuple[Executor, MemorySink]:
+    sink, desk = MemorySink(), Desk()
+    executor = Executor(Connection(end), winder(), desk, sink, speed=SPEED)
     executor.connect()
     executor.enable()
     executor.home()
@@ -86,7 +86,7 @@ def execute(end: socket.socket, at_tick: Callable[[int], None]) -> tuple[Executo
         executor.step()
         at_tick(executor.tick)
     desk.close()
-    return executor, kept
+    return executor, sink
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -125,14 +125,14 @@ def test_kill_the_executor(tick: int, tmp_path: Path) -> None:
     os.waitpid(executor, 0)
     os.close(there)
     assert os.waitpid(machine, 0)[1] == 0  # it has come to rest, and ended by itself
-    kept = json.loads(box.read_text("utf-8"))
-    assert kept["held"] == [0.0]
-    x, load, a = (np.array(kept[name]) for name in ("x", "load", "a"))
-    alone = slice(int(kept["heard"][0]), None)  # no message came since
+    record = json.loads(box.read_text("utf-8"))
+    assert record["held"] == [0.0]
+    x, load, a = (np.array(record[name]) for name in ("x", "load", "a"))
+    one_by_one = slice(int(record["heard"][0]), None)  # no message came since
     assert len(x) >= tick
     # 20 rows at 36 mm/s are 3.6 mm, and braking 0.1 mm; the load lags by 1.1 mm more.
-    assert np.abs(np.diff(x[alone])).sum() <= 3.75e-3
-    assert np.abs(np.diff(load[alone])).sum() <= 5e-3
+    assert np.abs(np.diff(x[one_by_one])).sum() <= 3.75e-3
+    assert np.abs(np.diff(load[one_by_one])).sum() <= 5e-3
     # On the path: A has turned a count for each of X, forth and back, within a count of each.
     counts = winder().counts_per_unit
     assert a[-1] * counts[0] == pytest.approx(np.abs(np.diff(x)).sum() * counts[1], abs=2.0)
@@ -150,13 +150,13 @@ def test_kill_the_machines_process(tick: int) -> None:
 
     machine = child(machine_only)
     theirs.close()
-    executor, kept = execute(
+    executor, sink = execute(
         ours, lambda now: os.kill(machine, signal.SIGKILL) if now >= tick else None
     )
     os.waitpid(machine, 0)
     ours.close()
     assert executor.ended == (RunEnd.FAULT, "the link is gone")
     assert executor.state is State.FAULT
-    recorded = np.concatenate([block.samples["X.measured"] for block in kept.blocks])
+    recorded = np.concatenate([block.samples["X.measured"] for block in sink.blocks])
     assert len(recorded) == executor.tick >= tick
-    assert kept.blocks[-1].events[-1].kind == "fault"
+    assert sink.blocks[-1].events[-1].kind == "fault"

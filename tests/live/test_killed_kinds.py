@@ -16,8 +16,8 @@ import numpy as np
 import pytest
 
 from tests.live.grbl_model import BLOCKS, GrblModel
-from tests.live.kept import Kept
 from tests.live.kill_bench import beside, case, child, kill_executor, kill_machine
+from tests.live.memory_sink import MemorySink
 from tests.live.test_grbl import MACHINE, START, program, settings
 from threadline.files import RunEnd, played, tick_table
 from threadline.live import grbl_run
@@ -132,12 +132,12 @@ def rests_of_whole() -> set[tuple[float, ...]]:
 def test_kill_the_machines_process(name: str, k: int) -> None:
     """The executor reports it at once, in the state of a fault, with all reports until then."""
     tick = some_ticks(name)[k]
-    executor, kept = kill_machine(case(name), tick)
+    executor, sink = kill_machine(case(name), tick)
     assert executor.ended == (RunEnd.FAULT, "the link is gone")
     assert executor.state is State.FAULT
     assert executor.tick >= tick
-    assert sum(len(next(iter(block.samples.values()))) for block in kept.blocks) >= tick
-    assert kept.blocks[-1].events[-1].kind == "fault"
+    assert sum(len(next(iter(block.samples.values()))) for block in sink.blocks) >= tick
+    assert sink.blocks[-1].events[-1].kind == "fault"
 
 
 @pytest.mark.parametrize("k", range(10))
@@ -151,7 +151,7 @@ def test_kill_the_program_that_feeds_grbl(k: int, monkeypatch: pytest.MonkeyPatc
     address = model.address  # it listens already
 
     def feed() -> None:
-        run = GrblRun(Controller(Port(address), MACHINE), Desk(), Kept())
+        run = GrblRun(Controller(Port(address), MACHINE), Desk(), MemorySink())
         run.controller.meet()
         run.enable()
         run.home()

@@ -107,12 +107,14 @@ def trusting(one: hal_rows._Played, part: Part) -> dict[str, np.ndarray]:
     return {"commanded": found.commanded, "read": np.rint(found.read)}
 
 
-def of_scans(told: str, said: str) -> Callable[[], None]:
-    return lambda: test_scans.test_a_fault_switches_everything_off(told, said)
+def of_scans(text: str, message: str) -> Callable[[], None]:
+    return lambda: test_scans.test_a_fault_switches_everything_off(text, message)
 
 
-def of_settings(number: int, factor: float, said: str) -> Callable[[], None]:
-    return lambda: test_grbl.test_a_controller_of_another_machine_is_refused(number, factor, said)
+def of_settings(number: int, factor: float, message: str) -> Callable[[], None]:
+    return lambda: test_grbl.test_a_controller_of_another_machine_is_refused(
+        number, factor, message
+    )
 
 
 def with_patch(test: Callable[[pytest.MonkeyPatch], None]) -> Callable[[], None]:

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from tests.live.bench import Bench
-from tests.live.kept import Kept
+from tests.live.memory_sink import MemorySink
 from tests.made import read_once
 from threadline.commands.plan import Plan
 from threadline.dynamics.analysis import fastest
@@ -49,11 +49,11 @@ def test_a_seam_at_67_stitches_a_second_runs_as_it_was_proved() -> None:
     tick_s = float(machine.tick_clock.period_s)
     of_load = machine.velocity_limit * machine.counts_per_unit * tick_s
     assert fastest_row(plan) > 2.0 * of_load.max()
-    kept = Kept()
+    sink = MemorySink()
     with closing(Desk()) as desk:
-        ended, why = SimLink(0.0, None).run(plan, desk, kept, Conduct(hold=Hold.AT_REST))
+        ended, why = SimLink(0.0, None).run(plan, desk, sink, Conduct(hold=Hold.AT_REST))
     assert (ended, why) == (RunEnd.COMPLETED, "")
-    proved, ran = read_once(simulate(plan.commands, machine)), read_once(kept.recording(plan))
+    proved, ran = read_once(simulate(plan.commands, machine)), read_once(sink.recording(plan))
     assert proved.channels == ran.channels
     for channel in proved.channels:
         assert np.array_equal(proved.samples(channel.name), ran.samples(channel.name))

@@ -97,7 +97,7 @@ class Asked(Bench):
         super().__init__()
         self.asked: list[tuple[State, int]] = []
         wire, send = self.wire, self.wire.send
-        self.executor = Executor(wire, winder(), self.desk, self.kept, speed=speed)  # type: ignore[arg-type]
+        self.executor = Executor(wire, winder(), self.desk, self.sink, speed=speed)  # type: ignore[arg-type]
         wire.machine.greet()
         self.executor.connect()
 
@@ -119,7 +119,7 @@ def test_many_ticks_are_asked_for_in_a_run_alone() -> None:
     bench.executor.let_go()
     bench.go_on()
     assert {asked for asked in bench.asked if asked[0] is State.JOGGING} == {(State.JOGGING, 5)}
-    assert bench.executor.stands[1]
+    assert bench.executor.position_counts[1]
     bench.executor.move("X", 0)
     while not bench.executor.over:
         bench.executor.renew()
@@ -152,7 +152,7 @@ def test_a_stop_of_the_program_is_met_as_with_short_reports() -> None:
     bench.executor.start(table_of_counts(there_and_back(), (event,)))
     while bench.executor.state is not State.HOLDING:
         bench.executor.step()
-    assert np.array_equal(bench.executor.stands, there_and_back()[:200].sum(axis=0))
+    assert np.array_equal(bench.executor.position_counts, there_and_back()[:200].sum(axis=0))
 
 
 def played_one_by_one(

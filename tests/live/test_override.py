@@ -21,7 +21,7 @@ TICK_S = float(CLOCK.period_s)
 
 
 def events(bench: Bench, kind: str) -> list[Event]:
-    return [e for block in bench.kept.blocks for e in block.events if e.kind == kind]
+    return [e for block in bench.sink.blocks for e in block.events if e.kind == kind]
 
 
 def check_whole(bench: Bench) -> None:
@@ -34,11 +34,11 @@ def check_whole(bench: Bench) -> None:
     assert off_path(counts) <= 1.0
     limits = CountLimits.of(winder())
     assert (np.abs(np.diff(counts, 2, axis=0)).max(axis=0) <= limits.acceleration + ROUNDING).all()
-    ticks = plan_ticks(bench.kept.blocks, len(counts))
+    ticks = plan_ticks(bench.sink.blocks, len(counts))
     assert (np.diff(ticks) >= 0.0).all()
     along = np.minimum(ticks, len(ROWS))
-    wanted = [np.interp(along, np.arange(len(PLACES)), PLACES[:, k]) for k in range(3)]
-    assert np.abs(counts - np.stack(wanted, axis=1)).max() <= 0.5 + 1e-4
+    expected = [np.interp(along, np.arange(len(PLACES)), PLACES[:, k]) for k in range(3)]
+    assert np.abs(counts - np.stack(expected, axis=1)).max() <= 0.5 + 1e-4
 
 
 @pytest.mark.long(shown_by="test_a_change_of_rate_keeps_every_limit")
@@ -102,7 +102,7 @@ def test_a_slower_run_takes_longer_and_tells_it_in_a_few_events(percent: int) ->
     bench.desk.override(percent)
     bench.go_on()
     check_whole(bench)
-    ticks = plan_ticks(bench.kept.blocks, len(bench.commanded()))
+    ticks = plan_ticks(bench.sink.blocks, len(bench.commanded()))
     arrived = int(np.argmax(ticks >= len(ROWS) - 1e-6))
     # 25 rows were sent; the rate changes in 100 ticks, on average the mean of both; then slow.
     rate = percent / 100.0
@@ -127,7 +127,7 @@ def test_a_hold_keeps_the_override_and_a_stop_works_from_it() -> None:
     assert bench.executor.state is State.HOLDING
     bench.desk.ask(Cause.RESUME)
     bench.go_on(600)
-    ticks = plan_ticks(bench.kept.blocks, 590)
+    ticks = plan_ticks(bench.sink.blocks, 590)
     assert np.diff(ticks[230:290]) == pytest.approx(0.4)
     assert np.diff(ticks[350:420]) == pytest.approx(0.0)
     assert np.diff(ticks[540:]) == pytest.approx(0.4)
@@ -180,7 +180,7 @@ def test_more_or_less_than_was_proven_is_refused(percent: int, words: str) -> No
         bench.executor.override(percent)
     bench.desk.override(percent)  # at the desk such an override is recorded, and changes nothing
     bench.go_on()
-    assert [text for *_, cause, text in bench.kept.log if cause is Cause.OVERRIDE] == [
+    assert [text for *_, cause, text in bench.sink.log if cause is Cause.OVERRIDE] == [
         f"an override of {percent} % is not within the 10 to 100 % that the proof covers"
     ]
     assert np.array_equal(
@@ -208,4 +208,4 @@ def test_a_stop_drops_an_override_that_was_asked_before_it() -> None:
     bench.desk.override(50)
     bench.desk.ask(Cause.STOP)
     bench.go_on()
-    assert not [cause for *_, cause, _ in bench.kept.log if cause is Cause.OVERRIDE]
+    assert not [cause for *_, cause, _ in bench.sink.log if cause is Cause.OVERRIDE]

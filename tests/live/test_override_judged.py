@@ -52,7 +52,7 @@ def overridden(plan: Plan) -> Recording:
     bench.desk.ask(Cause.RESUME)
     bench.go_on()
     assert bench.executor.ended == (RunEnd.COMPLETED, "")
-    return bench.kept.recording(plan)
+    return bench.sink.recording(plan)
 
 
 def test_overridden_run_has_the_verdict_of_a_run_at_full_feed(
@@ -143,7 +143,7 @@ def test_a_rate_that_meets_a_mode_is_foreseen_and_named(tmp_path: Path) -> None:
     bench.executor.start(plan.commands)
     bench.executor.override(percent)
     bench.go_on()
-    judged = judge([bench.kept.recording(plan)], plan, spec)
+    judged = judge([bench.sink.recording(plan)], plan, spec)
     assert judged.result("contour_error").measured == pytest.approx(
         spoiled[0].measured or 0.0, rel=0.15
     )

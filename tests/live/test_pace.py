@@ -44,10 +44,10 @@ def test_the_axes_are_told_where_the_table_is_at_the_plans_time(seed: int) -> No
         bench.desk.ask(Cause.STOP)
     bench.go_on()
     counts = bench.commanded()
-    ticks = plan_ticks(bench.kept.blocks, len(counts))
+    ticks = plan_ticks(bench.sink.blocks, len(counts))
     along = np.minimum(ticks, len(ROWS))  # after the last row the clock goes on
-    wanted = [np.interp(along, np.arange(len(PLACES)), PLACES[:, k]) for k in range(3)]
-    assert np.abs(counts - np.stack(wanted, axis=1)).max() <= 0.5 + 1e-6
+    expected = [np.interp(along, np.arange(len(PLACES)), PLACES[:, k]) for k in range(3)]
+    assert np.abs(counts - np.stack(expected, axis=1)).max() <= 0.5 + 1e-6
     assert (np.diff(ticks) >= 0.0).all()
     if bench.executor.ended == (RunEnd.COMPLETED, ""):
         assert ticks[-1] == round(ticks[-1])  # on whole rows again
@@ -57,7 +57,7 @@ def test_a_run_that_nothing_held_tells_nothing() -> None:
     bench = Bench().ready()
     bench.executor.start(table_of_counts(ROWS))
     bench.go_on()
-    assert not [e for block in bench.kept.blocks for e in block.events if e.kind == "plan"]
+    assert not [e for block in bench.sink.blocks for e in block.events if e.kind == "plan"]
 
 
 def test_rows_played_after_refills_stop_are_reported() -> None:
@@ -69,9 +69,9 @@ def test_rows_played_after_refills_stop_are_reported() -> None:
         bench.wire.machine.play(5)
         message = bench.wire.receive()
         assert message is not None
-        bench.kept.block(bench.executor.far_end.reported(message, None))
+        bench.sink.block(bench.executor.far_end.reported(message, None))
     counts = bench.commanded()
-    ticks = plan_ticks(bench.kept.blocks, len(counts))
+    ticks = plan_ticks(bench.sink.blocks, len(counts))
     assert ticks[-1] == ticks[-30] < len(counts) - 1
     x = np.interp(ticks, np.arange(len(PLACES)), PLACES[:, 1])
     assert np.abs(counts[:, 1] - x).max() <= 0.5 + 1e-6

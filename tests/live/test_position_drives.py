@@ -45,7 +45,7 @@ def test_undisturbed_run_equals_the_simulation_to_the_bit(name: str, tmp_path: P
     expected = read_once(simulate(table, machine))
     for channel in expected.channels:
         assert np.array_equal(bench.channel(channel.name), expected.samples(channel.name)[1])
-    events = [event for block in bench.kept.blocks for event in block.events]
+    events = [event for block in bench.sink.blocks for event in block.events]
     assert events == [event for block in expected for event in block.events]
 
 

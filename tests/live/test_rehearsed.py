@@ -25,7 +25,7 @@ from pathlib import Path
 from numba.core.registry import CPUDispatcher
 from threadline.live.states import Desk
 from threadline.live.executor import Executor
-from tests.live.kept import Kept
+from tests.live.memory_sink import MemorySink
 from threadline.live.sim_process import serve
 from threadline.live.kinds_run import run_kind_of
 from threadline.live.wire import Connection
@@ -41,7 +41,7 @@ def loaded():
 
 def run(connection, machine, commands):
     desk = Desk()
-    executor = Executor(connection, machine, desk, Kept(), speed=0.0)
+    executor = Executor(connection, machine, desk, MemorySink(), speed=0.0)
     executor.connect()
     before = loaded()
     executor.enable()

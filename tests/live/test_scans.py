@@ -69,7 +69,7 @@ def test_undisturbed_run_equals_the_simulation_to_the_bit() -> None:
     assert made.executor.ended == (RunEnd.COMPLETED, "")
     for channel in simulated().channels:
         assert np.array_equal(made.channel(channel.name), simulated().samples(channel.name)[1])
-    events = [event for block in made.kept.blocks for event in block.events]
+    events = [event for block in made.sink.blocks for event in block.events]
     assert events == [event for block in simulated() for event in block.events]
 
 
@@ -115,7 +115,7 @@ def test_a_hold_stands_at_the_next_rest_with_the_letter_held(scan: int) -> None:
     changes = [rows[1:][np.diff(rows, axis=0).any(axis=1)].tolist() for rows in (switched, whole)]
     assert changes[0] == changes[1]
     # The operator asked for the hold: the cycle time is the time without it.
-    took = [cycle(one) for one in (made.kept.recording(planned()), simulated())]
+    took = [cycle(one) for one in (made.sink.recording(planned()), simulated())]
     assert took[0].measured == pytest.approx(took[1].measured, abs=1e-9)
     later_s = (len(switched) - len(whole)) * 1e-3
     assert took[0].note == f"without {later_s:.6g} s in which it was held"
@@ -154,7 +154,7 @@ def test_outputs_switch_off_when_refills_stop(scan: int) -> None:
         machine.play(3)
         message = made.wire.receive()
         assert message is not None
-        made.kept.block(made.executor.far_end.reported(message, None))
+        made.sink.block(made.executor.far_end.reported(message, None))
     assert machine.standing
     on = outputs(made).any(axis=1)
     assert not on[10 * (scan + LEFT_ALONE_SCANS) :].any()
@@ -184,7 +184,7 @@ def test_a_wait_without_its_contact_is_a_fault() -> None:
 
 
 @pytest.mark.parametrize(
-    ("message", "said"),
+    ("message", "expected_text"),
     [
         ("light-grid@3.7 s", "light_grid is off: a broken beam"),
         ("stuck-contact:z_is_up@0.5 s", "z_is_up and z_is_down are on together"),
@@ -195,14 +195,14 @@ def test_a_wait_without_its_contact_is_a_fault() -> None:
         ("power-loss@1 s", "the link is gone"),
     ],
 )
-def test_a_fault_switches_everything_off(message: str, said: str) -> None:
+def test_a_fault_switches_everything_off(message: str, expected_text: str) -> None:
     fault = parse_fault(message, placer())
     made = bench(fault)
     made.go_on()
     ended, text = made.executor.ended or (None, "")
     assert (made.executor.state, ended) == (State.FAULT, RunEnd.FAULT)
-    assert said in text
-    tripped = next(tick for tick, state, _, _ in made.kept.log if state is State.FAULT)
+    assert expected_text in text
+    tripped = next(tick for tick, state, _, _ in made.sink.log if state is State.FAULT)
     assert not outputs(made)[10 * tripped :].any()
     if not message.startswith("stuck"):
         assert tripped <= fault.tick + 15  # three reports of five scans

@@ -47,7 +47,7 @@ def test_a_hold_after_the_last_row_is_refused_and_the_run_ends() -> None:
     made.desk.ask(Cause.HOLD)
     made.go_on()
     assert made.executor.state is State.IDLE
-    assert any("the run has come to its end" in text for *_, text in made.kept.log)
+    assert any("the run has come to its end" in text for *_, text in made.sink.log)
 
 
 def test_safe_by_construction() -> None:

@@ -41,7 +41,7 @@ def test_undisturbed_run_equals_the_simulation_to_the_bit() -> None:
     assert bench.executor.ended == (RunEnd.COMPLETED, "")
     for channel in expected.channels:
         assert np.array_equal(bench.channel(channel.name), expected.samples(channel.name)[1])
-    events = [event for block in bench.kept.blocks for event in block.events]
+    events = [event for block in bench.sink.blocks for event in block.events]
     assert events == [event for block in expected for event in block.events]
 
 
@@ -68,7 +68,7 @@ def test_machine_brakes_within_its_limits_when_refills_stop_at_speed(tick: int) 
         bench.wire.machine.play(5)
         message = bench.wire.receive()
         assert message is not None
-        bench.kept.block(bench.executor.far_end.reported(message, None))
+        bench.sink.block(bench.executor.far_end.reported(message, None))
     limit = CountLimits.of(winder()).acceleration + ROUNDING
     rows = np.diff(bench.commanded(), axis=0, append=bench.commanded()[-1:])
     assert (np.abs(np.diff(rows, axis=0)).max(axis=0) <= limit).all()
@@ -88,7 +88,7 @@ def test_machine_brakes_on_the_path_when_refills_stop(tick: int) -> None:
         machine.play(5)
         message = bench.wire.receive()
         assert message is not None
-        bench.kept.block(bench.executor.far_end.reported(message, None))
+        bench.sink.block(bench.executor.far_end.reported(message, None))
     counts = bench.commanded()
     assert off_path(counts) <= 1.0
     limits = CountLimits.of(winder())
@@ -162,7 +162,7 @@ def test_a_stop_is_ahead_of_what_is_held_and_what_was_asked(tick: int) -> None:
     counts = bench.commanded()
     # It does not play the 20 held rows: 4 ticks at 10 counts brake within the limits.
     assert counts[-1, 0] - counts[min(at, len(counts) - 1), 0] <= 4 * 10
-    causes = [cause for _, _, cause, _ in bench.kept.log]
+    causes = [cause for _, _, cause, _ in bench.sink.log]
     assert causes[causes.index(Cause.STOP) :] == [Cause.STOP, Cause.AT_REST]
     assert not {Cause.HOLD, Cause.RESUME} & set(causes)  # dropped, not only overtaken
 
@@ -176,7 +176,7 @@ def test_a_recording_of_a_stop_says_so() -> None:
     bench.go_on()
     recording = Recording(
         channels=simulate(table, winder()).channels,
-        blocks=bench.kept.blocks,
+        blocks=bench.sink.blocks,
         job_sha256="",
         machine_sha256="",
         simulated=True,

@@ -79,7 +79,7 @@ def test_undisturbed_run_equals_the_simulation_to_the_bit() -> None:
     for channel in simulated().channels:
         expected = simulated().samples(channel.name)[1]
         assert np.array_equal(made.channel(channel.name), expected), channel.name
-    events = [event for block in made.kept.blocks for event in block.events]
+    events = [event for block in made.sink.blocks for event in block.events]
     assert events == [event for block in simulated() for event in block.events]
 
 
@@ -116,8 +116,8 @@ def test_hold_and_resume_sew_every_stitch_once(ticks: list[int]) -> None:
     whole = np.stack([simulated().samples(f"{n}.commanded")[1] for n in "XY"], axis=1)
     ends = [places[-1] for places in (commanded(made), whole)]
     assert np.array_equal(*ends)
-    ways = [np.abs(np.diff(places, axis=0)).sum(axis=0) for places in (commanded(made), whole)]
-    np.testing.assert_allclose(ways[0], ways[1], rtol=1e-9)
+    moves = [np.abs(np.diff(places, axis=0)).sum(axis=0) for places in (commanded(made), whole)]
+    np.testing.assert_allclose(moves[0], moves[1], rtol=1e-9)
 
 
 @pytest.mark.parametrize("tick", [1, 900, 2503])
@@ -131,7 +131,7 @@ def test_frame_rests_after_the_present_turn_when_refills_stop(tick: int) -> None
         machine.play(50)
         message = made.wire.receive()
         assert message is not None
-        made.kept.block(made.executor.far_end.reported(message, None))
+        made.sink.block(made.executor.far_end.reported(message, None))
     assert machine.standing
     assert machine.starved
     moved = np.flatnonzero(np.diff(commanded(made), axis=0).any(axis=1))

@@ -138,16 +138,16 @@ def test_a_firmware_becomes_a_machine(
     made = machine(tmp_path, text, *more)
     assert made.axis_names == tuple(counts)
     assert made.programs.dialect == dialect
-    for found, wanted in (
+    for found, expected in (
         (made.counts_per_unit, counts),
         (made.velocity_limit, velocity),
         (made.acceleration_limit, acceleration),
     ):
-        for axis, value in wanted.items():
+        for axis, value in expected.items():
             turns = axis in made.rotary
             # A count per degree is 180/pi of one per rad; a rate in degrees pi/180 of one in rad.
             factor = 180.0 / math.pi if turns else 1.0
-            factor = factor if wanted is counts else 1.0 / factor
+            factor = factor if expected is counts else 1.0 / factor
             at = made.axis_names.index(axis)
             assert found[at] == pytest.approx(value * factor, rel=1e-9), axis
     for axis, value in travel_m.items():
@@ -155,7 +155,7 @@ def test_a_firmware_becomes_a_machine(
 
 
 @pytest.mark.parametrize(
-    ("text", "more", "wanted"),
+    ("text", "more", "expected"),
     [
         (GRBL + "$11=0.025\n", ["rotary=A"], {"junction_deviation": 0.025e-3}),
         (GRBL, ["rotary=A"], {"junction_deviation": 0.01e-3}),  # its default
@@ -169,11 +169,11 @@ def test_a_firmware_becomes_a_machine(
     ],
 )  # fmt: skip
 def test_a_firmware_tells_its_planner(
-    tmp_path: Path, text: str, more: list[str], wanted: dict[str, float]
+    tmp_path: Path, text: str, more: list[str], expected: dict[str, float]
 ) -> None:
     """$11, M205 J and M204 T, junction_deviation_mm, [printer]: in the machine file, in SI."""
     made = machine(tmp_path, text, *more)
-    for key, value in wanted.items():
+    for key, value in expected.items():
         assert getattr(made.planner, key).si == pytest.approx(value), key
 
 
@@ -221,7 +221,7 @@ def test_all_that_is_not_said_is_asked_for_at_once(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message"),
     [
         ("hello\n", "the settings of this file are of no known firmware"),
         ("", "settings of this file are of no known"),
@@ -297,15 +297,15 @@ def test_all_that_is_not_said_is_asked_for_at_once(tmp_path: Path) -> None:
         ),
     ],
 )
-def test_settings_that_cannot_be_are_refused(tmp_path: Path, text: str, said: str) -> None:
+def test_settings_that_cannot_be_are_refused(tmp_path: Path, text: str, message: str) -> None:
     file = tmp_path / "settings.txt"
     file.write_text(text)
-    with pytest.raises(MachineError, match=re.escape(said)):
+    with pytest.raises(MachineError, match=re.escape(message)):
         read_settings(file)
 
 
 @pytest.mark.parametrize(
-    ("answers", "said"),
+    ("answers", "message"),
     [
         (["mas=1 kg"], "Did you mean mass?"),
         (["mass"], "does not answer any question"),
@@ -322,15 +322,17 @@ def test_settings_that_cannot_be_are_refused(tmp_path: Path, text: str, said: st
         (["rotary=A", "mass=-1 kg", "travel=1 m", *OWNER[:5], *OWNER[6:]], "greater than 0"),
     ],
 )
-def test_answers_that_cannot_be_are_refused(tmp_path: Path, answers: list[str], said: str) -> None:
+def test_answers_that_cannot_be_are_refused(
+    tmp_path: Path, answers: list[str], message: str
+) -> None:
     file = tmp_path / "m503.txt"
     file.write_text(MARLIN)
-    with pytest.raises(OptionError, match=re.escape(said)):
+    with pytest.raises(OptionError, match=re.escape(message)):
         machine_text(read_settings(file), parse_answers(answers), "mine")
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message"),
     [
         (MARLIN + "echo:  M593 X F41.2 D0.1\n", "M593 shapes the motion"),
         (REPRAPFIRMWARE + 'M593 P"zvd" F40 S0.1\n', "M593 shapes the motion"),
@@ -339,33 +341,33 @@ def test_answers_that_cannot_be_are_refused(tmp_path: Path, answers: list[str], 
         (KLIPPER + "[input_shaper]\nshaper_freq_x: 40\n", "[input_shaper] shapes the motion"),
     ],
 )
-def test_ignored_setting_is_reported_with_its_line(text: str, said: str, tmp_path: Path) -> None:
+def test_ignored_setting_is_reported_with_its_line(text: str, message: str, tmp_path: Path) -> None:
     file = tmp_path / "settings.txt"
     file.write_text(text)
-    (unheeded,) = read_settings(file).unheeded
-    assert said in unheeded and f"settings.txt:{len(text.splitlines())}" in unheeded
+    (ignored,) = read_settings(file).ignored
+    assert message in ignored and f"settings.txt:{len(text.splitlines())}" in ignored
 
 
 @pytest.mark.parametrize("off", ["echo:  M593 X F0.00 D0.1\n", 'M593 P"none"\n'])
 def test_a_shaper_that_is_off_is_not_told(off: str, tmp_path: Path) -> None:
     file = tmp_path / "settings.txt"
     file.write_text((MARLIN if off.startswith("echo") else REPRAPFIRMWARE) + off)
-    assert not read_settings(file).unheeded
+    assert not read_settings(file).ignored
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message"),
     [
         (FLUIDNC.replace("  x:\n", "  x: !include x.yaml\n  y:\n"), "x: !include x.yaml is not"),
         ("include: other.yaml\n" + FLUIDNC, "include: other.yaml is not followed"),
         ("axes: {x: {steps_per_mm: 80}}\n", "each setting of an axis needs a separate line"),
     ],
 )
-def test_axis_defined_in_another_file_is_refused(tmp_path: Path, text: str, said: str) -> None:
+def test_axis_defined_in_another_file_is_refused(tmp_path: Path, text: str, message: str) -> None:
     """An axis in another file was left out without a message."""
     file = tmp_path / "config.yaml"
     file.write_text(text)
-    with pytest.raises(MachineError, match=re.escape(said)):
+    with pytest.raises(MachineError, match=re.escape(message)):
         read_settings(file)
 
 
@@ -413,20 +415,20 @@ def test_mutated_settings_are_read_or_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("jump", "said"),
+    ("jump", "message"),
     [
         ('Q = "8 mm/s exact, assumed"', "names the axis 'Q', which does not exist"),
         ('A = "8 mm/s exact, assumed"', "planner.jump.A is in m/s, but the axis needs rad/s"),
         ('X = "8 deg/s exact, assumed"', "planner.jump.X is in rad/s, but the axis needs m/s"),
     ],
 )
-def test_jumps_of_marlin_are_of_its_axes(jump: str, said: str, tmp_path: Path) -> None:
+def test_jumps_of_marlin_are_of_its_axes(jump: str, message: str, tmp_path: Path) -> None:
     """A jump with another letter limited nothing, and one in the other unit was taken as it was."""
     file = tmp_path / "m.toml"
     file.write_text(
         f'base = "stepper-winder"\n\n[planner]\nkind = "marlin"\n\n[planner.jump]\n{jump}\n'
     )
-    with pytest.raises(MachineError, match=said):
+    with pytest.raises(MachineError, match=message):
         load_machine(file)
 
 

@@ -39,7 +39,7 @@ def test_a_manual_stepper_of_klipper_is_the_axis_that_a_macro_makes_it(tmp_path:
     assert isinstance(own.planner, KlipperPlanner)
     assert math.degrees(own.planner.jump["A"].si) == pytest.approx(20.0)
     assert math.degrees(own.planner.alone["A"].si) == pytest.approx(700.0)
-    assert not read_settings(tmp_path / "settings.txt").unheeded
+    assert not read_settings(tmp_path / "settings.txt").ignored
 
 
 def test_missing_limits_of_a_manual_stepper_are_requested(tmp_path: Path) -> None:
@@ -49,24 +49,24 @@ def test_missing_limits_of_a_manual_stepper_are_requested(tmp_path: Path) -> Non
 
 
 @pytest.mark.parametrize(
-    ("text", "axes", "said"),
+    ("text", "axes", "message"),
     [
         (MANDREL, "X", "is omitted: no macro of this file makes it an axis"),
         (MANDREL.replace("mandrel", "a"), "XA", "is read as the axis A"),
     ],
 )
 def test_a_manual_stepper_without_its_command_is_told(
-    tmp_path: Path, text: str, axes: str, said: str
+    tmp_path: Path, text: str, axes: str, message: str
 ) -> None:
     file = tmp_path / "printer.cfg"
     file.write_text(X_ALONE + text)
     settings = read_settings(file)
     assert "".join(settings.axes) == axes
-    assert len(settings.unheeded) == 1 and said in settings.unheeded[0]
+    assert len(settings.ignored) == 1 and message in settings.ignored[0]
 
 
 @pytest.mark.parametrize(
-    ("macro", "said"),
+    ("macro", "message"),
     [
         (TAKEN.replace("GCODE_AXIS=A", "GCODE_AXIS=Y"), "the axis Y; it must be one of A, B"),
         (TAKEN + TAKEN.splitlines()[-1].replace("=A", "=B"), "the axis B here and A on line"),
@@ -75,16 +75,16 @@ def test_a_manual_stepper_without_its_command_is_told(
     ],
 )
 def test_a_manual_stepper_that_is_two_axes_is_refused(
-    tmp_path: Path, macro: str, said: str
+    tmp_path: Path, macro: str, message: str
 ) -> None:
     file = tmp_path / "printer.cfg"
     file.write_text(X_ALONE + MANDREL + macro + "\n")
-    with pytest.raises(MachineError, match=re.escape(said)):
+    with pytest.raises(MachineError, match=re.escape(message)):
         read_settings(file)
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "said"),
+    ("old", "new", "message"),
     [
         ("rotation_distance: 360", "rotation_distance: -360", "rotation_distance is '-360'"),
         ("rotation_distance: 360", "rotation_distance: 1e300", "rotation_distance is '1e300'"),
@@ -100,7 +100,7 @@ def test_a_manual_stepper_that_is_two_axes_is_refused(
     ],
 )
 def test_an_error_quotes_what_is_typed_and_its_line(
-    tmp_path: Path, old: str, new: str, said: str
+    tmp_path: Path, old: str, new: str, message: str
 ) -> None:
     file = tmp_path / "printer.cfg"
     own = MANDREL + TAKEN
@@ -108,7 +108,7 @@ def test_an_error_quotes_what_is_typed_and_its_line(
     file.write_text(X_ALONE + own.replace(old, new))
     line = X_ALONE.count("\n") + own[: own.index(old)].count("\n") + 1
     with pytest.raises(
-        MachineError, match=re.escape(f"printer.cfg:{line}: ") + ".*" + re.escape(said)
+        MachineError, match=re.escape(f"printer.cfg:{line}: ") + ".*" + re.escape(message)
     ):
         read_settings(file)
 
@@ -119,7 +119,7 @@ def test_a_comment_makes_no_axis(tmp_path: Path) -> None:
         file.write_text(X_ALONE + MANDREL + TAKEN.replace("MANUAL", mark + "MANUAL"))
         settings = read_settings(file)
         assert list(settings.axes) == ["X"]
-        assert "is omitted" in settings.unheeded[0]
+        assert "is omitted" in settings.ignored[0]
 
 
 def test_an_axis_that_is_taken_away_again_is_told(tmp_path: Path) -> None:
@@ -127,7 +127,7 @@ def test_an_axis_that_is_taken_away_again_is_told(tmp_path: Path) -> None:
     file.write_text(X_ALONE + MANDREL + TAKEN + "    MANUAL_STEPPER STEPPER=mandrel GCODE_AXIS=\n")
     settings = read_settings(file)
     assert list(settings.axes) == ["X", "A"]
-    assert len(settings.unheeded) == 1 and "removes the axis again" in settings.unheeded[0]
+    assert len(settings.ignored) == 1 and "removes the axis again" in settings.ignored[0]
 
 
 def test_two_steppers_of_one_letter_are_refused(tmp_path: Path) -> None:
@@ -136,8 +136,8 @@ def test_two_steppers_of_one_letter_are_refused(tmp_path: Path) -> None:
     also = TAKEN.splitlines()[-1].replace("mandrel", "carriage")
     file.write_text(text := X_ALONE + MANDREL + second + TAKEN + also + "\n")
     last = text.count("\n")
-    said = f"printer.cfg:{last}: carriage is the axis A here, and mandrel on line {last - 1}"
-    with pytest.raises(MachineError, match=re.escape(said)):
+    message = f"printer.cfg:{last}: carriage is the axis A here, and mandrel on line {last - 1}"
+    with pytest.raises(MachineError, match=re.escape(message)):
         read_settings(file)
 
 

@@ -114,7 +114,7 @@ def test_quoting_by_a_mail_around_a_file_is_ignored(name: str, mail: str, tmp_pa
     plain = read(tmp_path, FILES[name], name)
     pasted = read(tmp_path, MAILS[mail](FILES[name]), name)
     assert pasted.firmware == plain.firmware and numbers(pasted) == numbers(plain)
-    lines = {axis: said.steps.place.line for axis, said in plain.axes.items() if said.steps}
+    lines = {axis: motor.steps.place.line for axis, motor in plain.axes.items() if motor.steps}
     shift = 2 if mail == "fence" else mail == "board"
     assert lines == {axis: pasted.axes[axis].steps.place.line - shift for axis in lines}
 

@@ -62,10 +62,10 @@ def read(folder: Path, text: str | bytes, name: str = "settings.txt") -> Setting
 
 def numbers(settings: Settings) -> dict[str, float]:
     """Return the content of the settings without their lines."""
-    found = {key: said.value for key, said in settings.planner.items()}
-    for axis, said in settings.axes.items():
+    found = {key: setting.value for key, setting in settings.planner.items()}
+    for axis, setting in settings.axes.items():
         for what in ("steps", "rate", "acceleration", "travel", "microsteps"):
-            one = getattr(said, what)
+            one = getattr(setting, what)
             if one is not None:
                 found[f"{axis} {what}"] = one.value
     return found
@@ -144,10 +144,10 @@ def test_the_last_whole_dump_of_a_log_counts(tmp_path: Path) -> None:
 def test_warnings_come_only_from_the_last_dump(tmp_path: Path) -> None:
     older = FIRST.replace("M204 S3000", "M204 S2000") + "echo:  M852 I0.0100\n"
     newer = FIRST + "echo:  M852 I0.0200\n"
-    (unheeded,) = read(tmp_path, older + newer).unheeded
-    assert "M852 I0.0200" in unheeded
-    (unheeded,) = read(tmp_path, newer + newer).unheeded
-    assert "M852 I0.0200" in unheeded
+    (ignored,) = read(tmp_path, older + newer).ignored
+    assert "M852 I0.0200" in ignored
+    (ignored,) = read(tmp_path, newer + newer).ignored
+    assert "M852 I0.0200" in ignored
 
 
 @pytest.mark.parametrize("behind", [">>> $110=6000\nok\n", ">>> $$\n$11=0.020\n$100=111.000\n"])
@@ -249,7 +249,7 @@ def test_each_form_of_marlin_s_dump_is_read_as_its_own(
         head = "echo:  M92 X80 Y80 Z400\necho:  M203 X9 Y9 Z9\necho:  M201 X9 Y9 Z9\n"
         settings = read(tmp_path, head + text)
         assert settings.form == named
-        assert {key: said.value for key, said in settings.planner.items()} == meant
+        assert {key: setting.value for key, setting in settings.planner.items()} == meant
 
 
 @pytest.mark.parametrize(
@@ -304,7 +304,7 @@ Acceleration: P=print, R=retract, T=travel
 
 
 @pytest.mark.parametrize(
-    ("line", "said"),
+    ("line", "message"),
     [
         ("echo: M852 I0.0100", "skew"),
         ("echo: M425 F1 X0.1", "backlash"),
@@ -314,16 +314,16 @@ Acceleration: P=print, R=retract, T=travel
     ],
 )
 def test_ignored_marlin_settings_are_reported_and_stored(
-    line: str, said: str, tmp_path: Path
+    line: str, message: str, tmp_path: Path
 ) -> None:
     settings = read(tmp_path, f"{FIRST}{line}\n")
-    (unheeded,) = settings.unheeded
-    assert said in unheeded and f"settings.txt:{len(FIRST.splitlines()) + 1}" in unheeded
+    (ignored,) = settings.ignored
+    assert message in ignored and f"settings.txt:{len(FIRST.splitlines()) + 1}" in ignored
     file = tmp_path / "machine.toml"
     answers = parse_answers(["travel=300 mm"])
     file.write_text(machine_text(settings, answers, "m", limits_only=True))
     planner = load_machine(file).planner
-    assert planner is not None and planner.left_out == [unheeded]
+    assert planner is not None and planner.left_out == [ignored]
 
 
 @pytest.mark.parametrize(
@@ -332,7 +332,7 @@ def test_ignored_marlin_settings_are_reported_and_stored(
 )
 def test_disabled_setting_gives_no_warning(line: str, tmp_path: Path) -> None:
     settings = read(tmp_path, f"{FIRST}echo:  {line}\n")
-    assert not settings.unheeded
+    assert not settings.ignored
     assert numbers(settings) == numbers(read(tmp_path, FIRST))
 
 
@@ -389,8 +389,8 @@ def test_an_include_that_is_not_there_is_named_where_it_would_have_the_axes(
     tmp_path: Path, more: str
 ) -> None:
     """Users send printer.cfg alone."""
-    said = r"contain no axis \(klipper\); settings.txt:1: \[include steppers.cfg\] is not read"
-    with pytest.raises(MachineError, match=said) as caught:
+    message = r"contain no axis \(klipper\); settings.txt:1: \[include steppers.cfg\] is not read"
+    with pytest.raises(MachineError, match=message) as caught:
         read(tmp_path, "[include steppers.cfg]\n" + more)
     assert "beside this one" in caught.value.remedy
 
@@ -470,13 +470,15 @@ def test_the_queue_of_reprapfirmware_only_grows(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("line", "said"),
+    ("line", "message"),
     [("M556 S100 X0.5", "skew"), ("M425 X0.1 S10", "backlash"), ("G29 S1", "mesh of the bed")],
 )
-def test_ignored_reprapfirmware_settings_are_reported(line: str, said: str, tmp_path: Path) -> None:
-    (unheeded,) = read(tmp_path, f"{REPRAPFIRMWARE}{line}\n").unheeded
-    assert said in unheeded
-    assert not read(tmp_path, REPRAPFIRMWARE + "M556 S100 X0 Y0\nM425 X0\nM579 X1 Y1\n").unheeded
+def test_ignored_reprapfirmware_settings_are_reported(
+    line: str, message: str, tmp_path: Path
+) -> None:
+    (ignored,) = read(tmp_path, f"{REPRAPFIRMWARE}{line}\n").ignored
+    assert message in ignored
+    assert not read(tmp_path, REPRAPFIRMWARE + "M556 S100 X0 Y0\nM425 X0\nM579 X1 Y1\n").ignored
 
 
 def test_keys_of_fluidnc_have_no_case(tmp_path: Path) -> None:
@@ -554,7 +556,7 @@ def test_an_ini_of_linuxcnc_becomes_a_machine(tmp_path: Path) -> None:
         "A steps": 88.888, "A rate": 5400.0, "A acceleration": 300.0,
         "tolerance": 0.02, "cam_tolerance": 0.01,
     }  # fmt: skip
-    assert "BACKLASH = 0.02" in settings.unheeded[0]
+    assert "BACKLASH = 0.02" in settings.ignored[0]
     assert sum("HAL file" in note for note in settings.notes) == 2
     asked = [one.key for one in missing_answers(settings, parse_answers([]), limits_only=True)]
     assert asked == ["radius"]  # TYPE says which axis is rotary
@@ -595,7 +597,7 @@ def test_an_ini_may_include_files_and_continue_lines(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
+    ("change", "message"),
     [
         (("trivkins", "genhexkins"), "KINEMATICS = genhexkins"),
         (("LINEAR_UNITS = mm", "LINEAR_UNITS = cubit"), "LINEAR_UNITS is 'cubit'"),
@@ -606,9 +608,9 @@ def test_an_ini_may_include_files_and_continue_lines(tmp_path: Path) -> None:
     ],
 )
 def test_an_ini_that_cannot_be_read_is_refused(
-    change: tuple[str, str], said: str, tmp_path: Path
+    change: tuple[str, str], message: str, tmp_path: Path
 ) -> None:
-    with pytest.raises(MachineError, match=re.escape(said)):
+    with pytest.raises(MachineError, match=re.escape(message)):
         read(tmp_path, INI.replace(*change), "mill.ini")
 
 
@@ -643,8 +645,8 @@ def test_limits_of_linuxcnc_need_no_scale(tmp_path: Path) -> None:
 
 def test_lines_that_linuxcnc_skips_are_skipped_with_a_note(tmp_path: Path) -> None:
     """A line without =, and text after the name of a section; an INI may include all files."""
-    said = INI.replace("[TRAJ]", "TOOL_CHANGE_POSITION -18 -12\n[TRAJ] section of the path", 1)
-    settings = read(tmp_path, said, "mill.ini")
+    text = INI.replace("[TRAJ]", "TOOL_CHANGE_POSITION -18 -12\n[TRAJ] section of the path", 1)
+    settings = read(tmp_path, text, "mill.ini")
     assert numbers(settings) == numbers(read(tmp_path, INI, "whole.ini"))
     assert any("TOOL_CHANGE_POSITION" in note for note in settings.notes)
     (tmp_path / "all.inc").write_text(INI)

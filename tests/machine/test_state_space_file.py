@@ -24,7 +24,7 @@ def line_of(old: str) -> int:
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "said"),
+    ("old", "new", "message"),
     [
         ("A = [[0.9, 0.05], [-0.02, 0.7]]", "A = [[0.9, 0.05, 0.0], [-0.02, 0.7, 0.0]]",
          "controllers.all.A: 3 numbers in row 1, expected 2 x 2: states x states"),
@@ -54,10 +54,10 @@ def line_of(old: str) -> int:
          "sensors.felt.noise"),
     ],
 )  # fmt: skip
-def test_an_error_names_key_and_line(tmp_path, old, new, said):
+def test_an_error_names_key_and_line(tmp_path, old, new, message):
     with pytest.raises(MachineError) as caught:
         load(tmp_path, old, new)
-    assert said in str(caught.value)
+    assert message in str(caught.value)
     inserted = 1 if "\n" in new else 0
     assert caught.value.place is not None
     assert caught.value.place.line == line_of(old) + inserted

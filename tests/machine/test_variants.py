@@ -103,8 +103,8 @@ def test_drawn_dead_times_are_shared_and_spread_evenly() -> None:
     for name in "drives.x.delay", "drives.y.delay":
         values, counts = np.unique(parts[:, names.index(name)], return_counts=True)
         np.testing.assert_allclose(values, np.linspace(-1.0, 1.0, 11), atol=1e-12)
-        wanted = 4000 * np.array([0.05, *[0.1] * 9, 0.05])
-        assert (np.abs(counts - wanted) < 5.0 * np.sqrt(wanted)).all()
+        expected = 4000 * np.array([0.05, *[0.1] * 9, 0.05])
+        assert (np.abs(counts - expected) < 5.0 * np.sqrt(expected)).all()
     inertia = parts[:, names.index("bodies.x_head.inertia")]
     assert len(np.unique(inertia)) == 4000  # every other number differs from machine to machine
 

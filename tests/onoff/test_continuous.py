@@ -143,13 +143,13 @@ def test_the_fastest_steady_cycle_is_in_spec_with_what_each_cycle_leaves_for_the
     file.write_text(THERE_AND_BACK, "utf-8")
     code, out = run("fastest", str(file), "-m", "letter-placer", "--nominal", "-o", str(best))
     assert code == 0
-    said = re.search(r"a cycle of (\S+) s behind the first, (\d+) pieces an hour", out)
-    assert said is not None
-    assert round(3600.0 / float(said[1])) == int(said[2])
+    message = re.search(r"a cycle of (\S+) s behind the first, (\d+) pieces an hour", out)
+    assert message is not None
+    assert round(3600.0 / float(message[1])) == int(message[2])
     code, out = run("prove", str(best), "-m", "letter-placer", "--nominal", "--json")
     assert code == 0
     answer = json.loads(out)
-    assert answer["continuous"]["cycle_s"] == pytest.approx(float(said[1]), abs=1e-3)
+    assert answer["continuous"]["cycle_s"] == pytest.approx(float(message[1]), abs=1e-3)
 
 
 FIRST = '[[operation]]\nvalve = "main_air"\nfirst_cycle_only = true\n'

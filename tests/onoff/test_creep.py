@@ -146,8 +146,8 @@ def test_a_schedule_in_pieces_creeps_to_the_bit_alike(piece: int) -> None:
         samples.append(session.advance(5).samples["X.load"])
     assert not session.failure
     found = np.concatenate(samples)
-    wanted = simulate_switching(whole, other).samples("X.load")[1]
-    assert np.array_equal(found, wanted[: len(found)])
+    expected = simulate_switching(whole, other).samples("X.load")[1]
+    assert np.array_equal(found, expected[: len(found)])
 
 
 def _times(machine, path: str):

@@ -51,20 +51,20 @@ def integrated(ticks: tuple[int, ...], levels: tuple[float, ...], pole: complex)
 
 @pytest.fixture(scope="module")
 def wide() -> Any:
-    wanted = flow_move(0.13)
-    least = least_scans(wanted, 100)
+    expected = flow_move(0.13)
+    least = least_scans(expected, 100)
     assert least is not None
-    return wanted, least, shortest_flow_command(wanted, least, least + 5)
+    return expected, least, shortest_flow_command(expected, least, least + 5)
 
 
 def test_flow_command_keeps_the_allowed_ringing_over_the_band(wide: Any) -> None:
     """Unshaped the same stroke rings more than ten times as much somewhere in the band."""
-    wanted, _, command = wide
+    expected, _, command = wide
     unshaped = [integrated((0, 47), (1.0, 0.0), POLE * part) for part in BAND]
     shaped = [integrated(command.ticks, command.levels, POLE * part) for part in BAND]
     assert max(unshaped) > 10 * 0.13
     assert max(shaped) <= 0.13 * (1.0 + 1e-6)
-    left = np.abs(wanted.left(command.ticks, command.levels))
+    left = np.abs(expected.left(command.ticks, command.levels))
     assert left == pytest.approx(shaped, abs=1e-7)
 
 

@@ -85,15 +85,15 @@ def test_the_cycle_may_say_what_it_does_anyway(
     text = CYCLE.read_text(encoding="utf-8")
     code, plain, _ = compiled(text, tmp_path, capsys)
     again = text.replace('name = "letter-cycle"', 'name = "letter-cycle"\nhome = ["Z", "X"]')
-    code_of_it, said, _ = compiled(again, tmp_path, capsys)
+    code_of_it, message, _ = compiled(again, tmp_path, capsys)
     assert (code, code_of_it) == (0, 0)
-    body = [[line for line in t.splitlines() if "sha256" not in line] for t in (plain, said)]
+    body = [[line for line in t.splitlines() if "sha256" not in line] for t in (plain, message)]
     assert len(body[0]) > 500
     assert body[0] == body[1]
 
 
 @pytest.mark.parametrize(
-    ("home", "said"),
+    ("home", "message"),
     [
         ('["X", "Z"]', "brings X back before Z, and the list moves X only with Z at its start"),
         ('["Z"]', 'home = ["Z"] does not name every cylinder once'),
@@ -105,13 +105,13 @@ def test_the_cycle_may_say_what_it_does_anyway(
     ],
 )
 def test_an_order_that_brings_nothing_home_is_refused(
-    home: str, said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    home: str, message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     text = CYCLE.read_text(encoding="utf-8")
     text = text.replace('name = "letter-cycle"', f'name = "letter-cycle"\nhome = {home}')
     code, written, err = compiled(text, tmp_path, capsys)
     assert (code, written, err.count("\n")) == (2, "", 1)
-    assert said in err
+    assert message in err
     assert "list.toml" in err
 
 

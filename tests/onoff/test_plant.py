@@ -69,8 +69,8 @@ def by_hand(reaction: float) -> tuple[np.ndarray, np.ndarray]:
 def test_eigenvalues_are_the_checked_ones() -> None:
     piece = network_of(load_machine("letter-placer"), "X")
     found = np.linalg.eigvals(piece.base[0][:, :6])
-    wanted = [-0.742 + 10067.8j, -0.171 + 19.031j, -0.25, 0.0]
-    for value in wanted:
+    expected = [-0.742 + 10067.8j, -0.171 + 19.031j, -0.25, 0.0]
+    for value in expected:
         assert np.abs(found - value).min() < 0.05 if abs(value) > 100 else 6e-4
         near = found[np.argmin(np.abs(found - value))]
         assert near.real == pytest.approx(value.real, abs=6e-4)
@@ -113,8 +113,8 @@ def test_reaction_of_the_piston_is_what_shakes_the_table() -> None:
     n = len(plant.states) - 2
     a, force = plant.matrix[0, :n, :n], plant.force[0, :n]
     assert residual_um(a, force, plant.frame[0, :n]) == pytest.approx(662.0, rel=0.005)
-    paper, alone = by_hand(0.0)
-    found = residual_um(paper, alone, np.eye(6)[0])
+    paper, single = by_hand(0.0)
+    found = residual_um(paper, single, np.eye(6)[0])
     assert found == pytest.approx(8.6, rel=0.02)
 
 
@@ -203,11 +203,11 @@ def test_ringing_of_a_step_is_that_of_the_twin() -> None:
         frame.append(twin.frame_m)
         twin.advance(1.0)
     times = np.arange(2000, 4000) * 1e-3
-    wanted = (ringing.amplitude_m * np.exp(ringing.pole * times)).real
+    expected = (ringing.amplitude_m * np.exp(ringing.pole * times)).real
     found = np.array(frame[2000:])
-    rest = found - wanted
+    rest = found - expected
     # The rest is the slow push of the steady drag, b2 v / K1 = 24 um, which hardly changes.
-    assert np.ptp(rest) < 0.01 * np.ptp(wanted)
+    assert np.ptp(rest) < 0.01 * np.ptp(expected)
 
 
 def test_valves_excite_a_slower_mode_than_a_free_piston() -> None:

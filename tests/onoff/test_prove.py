@@ -72,17 +72,17 @@ def test_residual_of_a_step_is_the_ringing_that_a_fit_finds(shaped: Proof) -> No
     """
     machine, commands = shaped.plan.machine, shaped.plan.commands
     (end,) = [e.tick for e in commands.events if e.name == "leave"]
-    alone = simulate_switching(until(commands, end), machine, SwitchOptions(after_s=1.2))
+    single = simulate_switching(until(commands, end), machine, SwitchOptions(after_s=1.2))
     pole = step_ringing(machine, "X").pole
-    wanted = ringing_m(alone, "X", end * 0.01, pole)
+    expected = ringing_m(single, "X", end * 0.01, pole)
     result = next(
         r
         for r in shaped.verdict.results
         if (r.name, r.axis, r.step) == ("residual_vibration", "X", "across")
     )
     assert result.measured is not None
-    assert wanted > 5e-6
-    assert result.measured == pytest.approx(wanted, rel=0.15, abs=2e-6)
+    assert expected > 5e-6
+    assert result.measured == pytest.approx(expected, rel=0.15, abs=2e-6)
 
 
 def test_a_bare_shaper_says_for_which_mode_it_was_made(
@@ -199,8 +199,8 @@ def test_limits_of_the_valves_are_judged(shaped: Proof, name: str) -> None:
     verdict = judge([altered(shaped.recording, change)], plan, shaped.spec)
     result = verdict.result(name)
     assert result.status is Status.FAILED
-    wanted = {"switching_dwell": 0.010, "valve_conflict": 0.2, "over_level": 0.107}[name]
-    assert result.measured == pytest.approx(wanted, abs=1e-9)
+    expected = {"switching_dwell": 0.010, "valve_conflict": 0.2, "over_level": 0.107}[name]
+    assert result.measured == pytest.approx(expected, abs=1e-9)
 
 
 def test_a_dwell_that_is_kept_is_told_in_words(shaped: Proof) -> None:

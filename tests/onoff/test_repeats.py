@@ -59,9 +59,9 @@ def test_another_day_differs_in_friction_and_stiffness_alone() -> None:
         )
 
     cylinders = {name: varied(part) for name, part in machine.cylinders.items()}
-    wanted = simulate(plan.commands, replace(machine, cylinders=cylinders))
+    expected = simulate(plan.commands, replace(machine, cylinders=cylinders))
     frames = [f"{axis}.frame" for axis in plan.axes]
-    ours, theirs = (r.samples_of(frames) for r in (day, wanted))
+    ours, theirs = (r.samples_of(frames) for r in (day, expected))
     for name in frames:
         assert np.array_equal(ours[name][1], theirs[name][1])
 
@@ -176,16 +176,16 @@ def test_a_machine_that_waits_forever_is_out_of_specification_and_counted(
         ("cylinders.X.forward.flows.x_right_a1", -1.0),
     ):
         parts[2, names.index(name)] = end
-    alone = []
+    one_by_one = []
     for row in parts:
         try:
             own = variant(machine, row)
             for _ in kind_of(own).simulate(with_machine_hash(plan.commands, own), own):
                 pass
-            alone.append("")
+            one_by_one.append("")
         except RecordingError as error:
-            alone.append(error.message)
-    stuck = [why for why in alone if why]
+            one_by_one.append(error.message)
+    stuck = [why for why in one_by_one if why]
     assert len(stuck) == 1 and "'x_is_right' did not become on" in stuck[0]
 
     monkeypatch.setattr(over_tolerances, "drawn", lambda *_: parts)

@@ -60,9 +60,9 @@ def test_twin_rings_after_a_broken_beam_as_the_residues_say(tmp_path: Path, shap
     scheduled, move = across(tmp_path, shaper)
     sweep, (instants, found) = move_sweep(scheduled, move, breaks=7)
     assert len(found) == 7
-    wanted = np.interp(instants, sweep.times_s, sweep.ringing_m)
+    expected = np.interp(instants, sweep.times_s, sweep.ringing_m)
     assert sweep.ringing_m.max() > 7e-4
-    assert np.abs(found - wanted).max() < 0.02 * sweep.ringing_m.max()
+    assert np.abs(found - expected).max() < 0.02 * sweep.ringing_m.max()
 
 
 def test_unit_magnitude_halves_what_a_broken_beam_leaves(tmp_path: Path) -> None:
@@ -88,8 +88,8 @@ def test_unbroken_end_of_a_sweep_is_the_residual_of_the_shaper() -> None:
     # A step up and one down, half a period apart at 0.172 s, add; here they are 0.465 s apart.
     turn = np.exp(ringing.pole * 0.2 / 0.43)
     decayed = np.exp(ringing.pole.real * (unshaped.times_s[-1] - 0.2 / 0.43))
-    wanted = abs(ringing.amplitude_m) * abs(turn - 1.0) * decayed
-    assert unshaped.ringing_m[-1] == pytest.approx(wanted, rel=1e-9)
+    expected = abs(ringing.amplitude_m) * abs(turn - 1.0) * decayed
+    assert unshaped.ringing_m[-1] == pytest.approx(expected, rel=1e-9)
 
 
 def test_break_figure_has_a_panel_for_every_shaper_and_the_circles_of_the_twin() -> None:

@@ -78,18 +78,18 @@ def test_a_dwell_of_0_changes_no_switching(examples: Path, tmp_path: Path) -> No
 
 
 @pytest.mark.parametrize(
-    ("line", "said"),
+    ("line", "message"),
     [
         ('dwell = "-1 ms"', "is not within 0 ... 24 h"),
         ('wait = "z_is_up"\ntimeout = "0 s"', "is not more than 0 and at most 24 h"),
     ],
 )
 def test_times_that_cannot_be_are_refused_with_their_room(
-    line: str, said: str, tmp_path: Path
+    line: str, message: str, tmp_path: Path
 ) -> None:
     file = tmp_path / "a.toml"
     file.write_text(f"[[operation]]\n{line}\n")
-    with pytest.raises(JobError, match=said):
+    with pytest.raises(JobError, match=message):
         read_job(file, load_machine(TRIMMED))
 
 

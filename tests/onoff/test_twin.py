@@ -135,9 +135,9 @@ def test_variants_do_what_machines_with_their_numbers_do() -> None:
     ends = set()
     for k, recording in enumerate(many):
         own = variant(machine, parts[k])
-        alone = simulate_switching(replace(commands, machine_sha256=own.sha256), own)
+        single = simulate_switching(replace(commands, machine_sha256=own.sha256), own)
         channels = ("X.load", "X.frame", "Z.frame", "x_is_right")
-        ours, theirs = recording.samples_of(channels), alone.samples_of(channels)
+        ours, theirs = recording.samples_of(channels), single.samples_of(channels)
         for channel in channels:
             np.testing.assert_array_equal(ours[channel][1], theirs[channel][1])
         ends.add(len(ours["X.load"][1]))

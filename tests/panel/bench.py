@@ -32,12 +32,12 @@ from threadline.panel.admission import Admission
 from threadline.panel.calculating import calculate
 from threadline.panel.calculation import Calculation, MachineGuide
 from threadline.panel.job_views import preview
-from threadline.panel.kept_runs import KeptRuns, Owned
 from threadline.panel.owner import Owner
 from threadline.panel.owner_process import OwnerLink, serve_owned
 from threadline.panel.panel import Panel
 from threadline.panel.protocol import Calculate
 from threadline.panel.server import make_app
+from threadline.panel.stored_runs import Owned, StoredRuns
 
 PROGRAM = "%\nO 1;\nG91;\nG01 F 2000;\nN 10 A 20 X 60;\nN 20 A 20 X -60;\nM30;\n%\n"
 """There and back on X, 1.7 s each way at the normal feed."""
@@ -77,9 +77,9 @@ def proven(folder: Path, machine: str = "lathe-winder") -> tuple[dict[str, Any],
         slower = seam.replace("40 stitch/s", "30 stitch/s")  # the motors keep their speed limit
         assert slower != seam
         (folder / asked.program).write_text(slower, "utf-8")
-    told = {**asked.model_dump(exclude={"what"}), "proof_file": str(folder / "proof.json")}
-    return told, calculate(
-        {**told, "folder": str(folder), "machine": machine, "par": None, "spec": None}
+    request = {**asked.model_dump(exclude={"what"}), "proof_file": str(folder / "proof.json")}
+    return request, calculate(
+        {**request, "folder": str(folder), "machine": machine, "par": None, "spec": None}
     )
 
 
@@ -131,7 +131,7 @@ def own_here(
     server: socket.socket, link: socket.socket, folder: Path, speed: float, machine: Machine
 ) -> None:
     to = Connection(server)
-    runs = KeptRuns(Owned(machine, None, folder, folder / "runs", speed), "", lambda *_: None)
+    runs = StoredRuns(Owned(machine, None, folder, folder / "runs", speed), "", lambda *_: None)
     far, desk = Connection(link), Desk()
     Owner(to, RowsOperated(far, machine, desk, runs, speed=speed), machine, desk, runs).serve()
     for end in (far, desk, to):

@@ -90,12 +90,12 @@ def press_until(page: Page, text: str, names: str) -> None:
     on a busy computer.
     """
     shown = page.locator("#state")
-    wanted = re.compile(rf"({names})(:|$)")
+    expected = re.compile(rf"({names})(:|$)")
     for _ in range(40):
         with suppress(WaitedTooLong):  # the state came late, and the button is grey by now
             page.get_by_role("button", name=text, exact=True).click(timeout=1_000)
         with suppress(AssertionError):
-            expect(shown).to_have_text(wanted, timeout=5_000)
+            expect(shown).to_have_text(expected, timeout=5_000)
             return
     raise AssertionError(f"{text} was pressed 40 times: {shown.inner_text()}")
 

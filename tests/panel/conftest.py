@@ -14,7 +14,7 @@ from tests.panel.bench import proven, simulated_of
 from tests.panel.test_panel_killed import Plant
 from threadline.live.supervised import interventions
 from threadline.machine import load_machine
-from threadline.panel import calculation, drawn, kept_runs
+from threadline.panel import calculation, drawn, stored_runs
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser
@@ -38,7 +38,7 @@ def simulated_here(monkeypatch: pytest.MonkeyPatch) -> None:
 
     ``test_run_work`` tests the other process.
     """
-    monkeypatch.setattr(kept_runs, "interventions_apart", interventions)
+    monkeypatch.setattr(stored_runs, "interventions_apart", interventions)
 
 
 @pytest.fixture(autouse=True)

@@ -170,10 +170,10 @@ def test_the_published_schema_is_that_of_the_program(
     published = json.loads((ROOT / "docs" / "panel-protocol.json").read_text("utf-8"))
     with served(tmp_path) as client:
         assert client.get("/").status_code == (200 if files else 404)
-        told = client.get("/api/schema").json()
-    assert told == published, "python -m tools.panel_schema writes it"
+        schema = client.get("/api/schema").json()
+    assert schema == published, "python -m tools.panel_schema writes it"
     types = (ROOT / "web" / "src" / "messages.ts").read_text("utf-8")
-    assert types_of(told) == types, "python -m tools.panel_schema writes it"
+    assert types_of(schema) == types, "python -m tools.panel_schema writes it"
     assert MOST_TEXT == 1 << 16
 
 

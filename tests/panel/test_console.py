@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from tests.live.grbl_model import GrblModel
-from tests.live.kept import Kept
+from tests.live.memory_sink import MemorySink
 from tests.live.test_grbl import MACHINE, START, UNITS, settings
 from tests.panel.bench import Operator, operator, served
 from tests.panel.test_links import grbl, wait
@@ -131,7 +131,7 @@ def test_a_line_is_not_sent_in_a_run_nor_in_its_hold() -> None:
     model = GrblModel(settings(), faster=0.2)
     model.start()
     desk = Desk()
-    one = GrblOperated(Controller(Port(model.address), MACHINE), desk, Kept())
+    one = GrblOperated(Controller(Port(model.address), MACHINE), desk, MemorySink())
     try:
         one.connect()
         one.enable()
@@ -153,16 +153,16 @@ def typed(anna: Operator, line: str) -> str:
     return anna.act("console", line=line)
 
 
-def said(anna: Operator, kind: str = "heard") -> list[str]:
+def messages_of(anna: Operator, kind: str = "heard") -> list[str]:
     """Return the console lines shown so far."""
-    lines = [one for told in anna.heard if told["type"] == "console" for one in told["lines"]]
+    lines = [one for event in anna.heard if event["type"] == "console" for one in event["lines"]]
     return [one["text"] for one in lines if one["kind"] == kind]
 
 
 def boards(anna: Operator) -> list[dict[int, dict[str, Any]]]:
     """Return the settings by number, for each time that they were read."""
-    told = [one["settings"] for one in anna.heard if one["type"] == "board"]
-    return [{row["number"]: row for row in rows} for rows in told]
+    boards_seen = [one["settings"] for one in anna.heard if one["type"] == "board"]
+    return [{row["number"]: row for row in rows} for rows in boards_seen]
 
 
 def test_typed_lines_are_answered_and_a_written_setting_has_to_be_compared(
@@ -178,10 +178,10 @@ def test_typed_lines_are_answered_and_a_written_setting_has_to_be_compared(
         full = {"blocks": 0, "of_blocks": 15, "characters": 0, "of_characters": 128}
         assert anna.state["board"] == full
         assert boards(anna)[0][RATE_X]["mark"] == "same"
-        assert "[AXS:4:XYZA]" in said(anna)  # the settings were read when the link was made
+        assert "[AXS:4:XYZA]" in messages_of(anna)  # the settings were read when the link was made
         assert typed(anna, "$I") == ""
-        wait(anna, lambda: said(anna).count("[AXS:4:XYZA]") == 2)
-        assert said(anna, "typed") == ["$I"]
+        wait(anna, lambda: messages_of(anna).count("[AXS:4:XYZA]") == 2)
+        assert messages_of(anna, "typed") == ["$I"]
         assert anna.state["state"] == "idle"
         assert "it moves" in typed(anna, "G0 X10")
         assert "a line has no lease" in typed(anna, "$J=X10F100")

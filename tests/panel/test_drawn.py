@@ -107,8 +107,8 @@ def test_the_hole_of_a_letter_is_not_filled() -> None:
     assert (len(hatch.paths), hatch.dxf.hatch_style) == (2, 0)
     again = opened("a.dxf", made)
     assert [one["fill"] for one in again["shapes"]] == ["solid", "solid"]
-    alone = dxf([Shape(**{**ring, "group": 0}, fill="solid") for ring in rings])
-    assert len(ezdxf.read(io.StringIO(alone.decode())).modelspace().query("HATCH")) == 2
+    one_by_one = dxf([Shape(**{**ring, "group": 0}, fill="solid") for ring in rings])
+    assert len(ezdxf.read(io.StringIO(one_by_one.decode())).modelspace().query("HATCH")) == 2
 
 
 STYLES = ["solid", "dashed", "dotted", "dashdot"]
@@ -312,12 +312,12 @@ def test_a_drawing_that_takes_too_long_is_given_up(
 
 def test_a_process_ends_with_who_waits_for_it(tmp_path: Path) -> None:
     """A thread could not be killed, and the panel had to wait for it at its end."""
-    told = tmp_path / "told"
-    words = f"import os, time; open({str(told)!r}, 'w').write(str(os.getpid())); time.sleep(60)"
+    folder = tmp_path / "told"
+    words = f"import os, time; open({str(folder)!r}, 'w').write(str(os.getpid())); time.sleep(60)"
 
     async def asked() -> None:
         waits = asyncio.create_task(answer_of(sys.executable, "-c", words))
-        while not (told.exists() and told.read_text()):
+        while not (folder.exists() and folder.read_text()):
             await asyncio.sleep(0.01)
         waits.cancel()
         with pytest.raises(asyncio.CancelledError):
@@ -325,4 +325,4 @@ def test_a_process_ends_with_who_waits_for_it(tmp_path: Path) -> None:
 
     asyncio.run(asked())
     with pytest.raises(ProcessLookupError):
-        os.kill(int(told.read_text()), 0)
+        os.kill(int(folder.read_text()), 0)

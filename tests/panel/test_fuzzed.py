@@ -36,8 +36,8 @@ async def answer_here(*words: str, sent: bytes, longest_s: float) -> tuple[int, 
     """Stand-in for the process that reads a drawing; ``test_drawn.py`` starts such processes."""
     if "\0" in words[-1]:
         raise ValueError("embedded null byte")  # no process accepts such an argument
-    status, said = drawings.answered(words[-2], words[-1], sent)
-    return status, said, said
+    status, message = drawings.answered(words[-2], words[-1], sent)
+    return status, message, message
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -73,10 +73,10 @@ def heard(anna: Operator, count: int = 3) -> None:
 @FUZZED
 @given(st.lists(messages("hello"), min_size=1, max_size=5))
 def test_every_message_of_the_schema_is_taken_and_moves_nothing_without_a_lease(
-    client: TestClient, said: list[Any]
+    client: TestClient, text: list[Any]
 ) -> None:
     with operator(client) as eve:
-        for message in said:
+        for message in text:
             eve.socket.send_text(json.dumps(message))
         heard(eve, 4)
         eve.catch_up(client)
@@ -95,8 +95,8 @@ def test_every_command_of_one_in_control_is_answered_once(
     with operator(client) as anna:
         anna.take()
         anna.catch_up(client)
-        told = {name: word for name, word in command.items() if name != "what"}
-        anna.act(command["what"], **told)
+        words = {name: word for name, word in command.items() if name != "what"}
+        anna.act(command["what"], **words)
         heard(anna)
         assert anna.see("disabled", "enabled", "homing", "idle", "jogging")
         anna.say(type="stop")
@@ -145,8 +145,8 @@ def test_every_request_is_answered_as_it_is_described(
     filled = path
     for one in described.get("parameters", ()):
         if one["in"] == "path":
-            told = data.draw(values(one["schema"], HTTP) | st.text(max_size=12))
-            filled = filled.replace("{" + one["name"] + "}", quoted(told))
+            body = data.draw(values(one["schema"], HTTP) | st.text(max_size=12))
+            filled = filled.replace("{" + one["name"] + "}", quoted(body))
     headers = {**LOCAL, "x-lease": data.draw(st.sampled_from(["", "guess"]))}
     content = data.draw(st.binary(max_size=40)) if method in {"put", "post"} else None
     query = {

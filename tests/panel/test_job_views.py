@@ -47,8 +47,8 @@ def test_the_programmed_path_and_its_lines_are_those_of_the_job(folder: Path) ->
     assert before.moves == len(moves)
     assert before.line == [0, *(one.source.line for one in moves)]
     for k, name in enumerate(job.axes):
-        wanted = [job.start[k], *(one.target[k] for one in moves)]
-        assert before.planned[name] == pytest.approx(wanted, abs=1e-6)
+        expected = [job.start[k], *(one.target[k] for one in moves)]
+        assert before.planned[name] == pytest.approx(expected, abs=1e-6)
     assert before.text == (folder / "there.prg").read_text("utf-8").splitlines()
     # There and back at one speed: the second line begins at half of the time.
     assert figures.lines.line == [5, 6]
@@ -114,8 +114,8 @@ def test_a_preview_is_read_by_anyone_and_says_why_there_is_none(folder: Path) ->
     apart = asyncio.run(own.preview("there.prg"))
     with served(folder) as client:
         answer = client.get("/api/programs/there.prg/preview")
-        told: dict[str, Any] = answer.json()
-        assert Preview.model_validate(told) == Preview.model_validate_json(apart)
+        view: dict[str, Any] = answer.json()
+        assert Preview.model_validate(view) == Preview.model_validate_json(apart)
         for name, why in (("bad.prg", "bad.prg:2"), ("none.prg", "none.prg"), ("..%2Fx.prg", "")):
             refused = client.get(f"/api/programs/{name}/preview")
             assert refused.status_code in (404, 422)

@@ -17,8 +17,8 @@ import pytest
 from tests.live.bench import winder
 from tests.live.grbl_model import GrblModel
 from tests.live.hal_bench import awake, hal_alone, unhurried
-from tests.live.kept import Kept
 from tests.live.kill_bench import child
+from tests.live.memory_sink import MemorySink
 from tests.live.test_grbl import settings
 from tests.panel.bench import Operator, operator, proven, served
 from threadline.live import grbl_run
@@ -110,17 +110,17 @@ def test_a_program_is_run_on_grbl_twice_with_a_hold(project: Path) -> None:
             assert (model.at == held).all()
             assert anna.act("resume") == ""
             wait(anna, lambda: bool((anna.state["progress"] or {}).get("verdict")))
-            told = anna.state["progress"]
-            assert (told["ended"], told["why"]) == ("completed", "")
-            assert told["time_s"] == pytest.approx(told["duration_s"])
-            assert told["verdict"].startswith("NOT PROVEN")
+            progress = anna.state["progress"]
+            assert (progress["ended"], progress["why"]) == ("completed", "")
+            assert progress["time_s"] == pytest.approx(progress["duration_s"])
+            assert progress["verdict"].startswith("NOT PROVEN")
             assert anna.x_mm() == pytest.approx(0.0, abs=0.02)
             moved_by(
                 anna, lambda: model.at == pytest.approx([0.0] * 4, abs=2e-3), "zero-axis", axis="A"
             )
-    kept = opened(project / "runs")
-    assert kept is not None
-    assert {record.link for record in kept.index.runs()} == {welcome["link"]}
+    store = opened(project / "runs")
+    assert store is not None
+    assert {record.link for record in store.index.runs()} == {welcome["link"]}
     assert list((project / "runs").glob("*/sent/program.nc"))
 
 
@@ -153,10 +153,10 @@ def test_a_run_on_grbl_is_stopped_and_its_rest_done(project: Path) -> None:
         assert anna.act("start-rest") == ""
         wait(anna, lambda: (anna.state["progress"] or {}).get("run") != run)
         wait(anna, lambda: bool((anna.state["progress"] or {}).get("verdict")))
-        told = anna.state["progress"]
-        assert (told["ended"], told["why"]) == ("completed", "")
-        assert told["time_s"] == pytest.approx(told["duration_s"])
-        assert told["verdict"].endswith(
+        progress = anna.state["progress"]
+        assert (progress["ended"], progress["why"]) == ("completed", "")
+        assert progress["time_s"] == pytest.approx(progress["duration_s"])
+        assert progress["verdict"].endswith(
             f"Judged as one with what {run} did before the work began again"
         )
         assert model.at[[3, 0]] == pytest.approx([80.0, 0.0], abs=0.02)
@@ -224,18 +224,18 @@ def test_a_link_that_is_lost_in_a_jog_leaves_a_controller_that_stands(project: P
 def jog_on(address: str, moves: int) -> None:
     """Jog X and renew it, as the panel's process does for a held key; report when X moves."""
     desk = Desk()
-    one = GrblOperated(Controller(Port(address), STEPPER), desk, Kept())
+    one = GrblOperated(Controller(Port(address), STEPPER), desk, MemorySink())
     one.connect()
     one.enable()
     one.home()
     one.jog("X", MANUAL_MM_S / 1e3)
-    told = False
+    is_sent = False
     while True:
         if one.state is State.JOGGING:
             one.renew()
         one.step()
-        if not told and one.latest["X.commanded"] > 0.0:
-            told = bool(os.write(moves, b"!"))
+        if not is_sent and one.latest["X.commanded"] > 0.0:
+            is_sent = bool(os.write(moves, b"!"))
 
 
 def test_kill_the_process_that_jogs_on_grbl() -> None:
@@ -335,19 +335,19 @@ def test_hal_is_homed_jogged_run_held_and_stopped(
             anna.see("idle")
             wait(anna, lambda: bool(anna.state["progress"]["verdict"]))
             assert anna.state["progress"]["verdict"].startswith("NOT PROVEN")
-    kept = opened(tmp_path / "runs")
-    assert kept is not None
-    (record,) = kept.index.runs()
+    store = opened(tmp_path / "runs")
+    assert store is not None
+    (record,) = store.index.runs()
     assert record.link == link
 
 
 def test_inputs_that_nothing_simulated_switches_are_said() -> None:
     """They are lit at rest: without a word an operator would look for the letter that is held."""
     placer = load_machine("letter-placer")
-    told = (
+    progress = (
         "nobody is at the simulated machine: its inputs start button, letter held, acknowledge and "
         "home button are on from the start"
     )
-    assert at_link("sim", placer, 1.0).notes == (told,)
-    assert at_link("sim:slower", placer, 1.0).notes[1:] == (told,)
+    assert at_link("sim", placer, 1.0).notes == (progress,)
+    assert at_link("sim:slower", placer, 1.0).notes[1:] == (progress,)
     assert at_link("sim", load_machine("lathe-winder"), 1.0).notes == ()

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.live.kept import Kept
+from tests.live.memory_sink import MemorySink
 from tests.panel.bench import PROGRAM, operator, proven, served
 from tests.panel.test_operator import started
 from threadline.files import ChannelKind
@@ -55,17 +55,17 @@ def test_live_contour_equals_the_judged_error_at_samples(proof: Proof) -> None:
     assert live.report() is None
     fed(proof, live)
     live.close()
-    told = live.report()
+    report = live.report()
     assert live.failed == ""
-    assert told is not None
+    assert report is not None
     along = contour_along(proof.recording, proof.plan, proof.spec.lag_s)
     assert along is not None
     times_s, away_m = along
-    assert told["worst_m"] == pytest.approx(float(away_m.max()), rel=1e-9)
-    assert told["worst_s"] == pytest.approx(float(times_s[away_m.argmax()]), abs=1e-9)
+    assert report["worst_m"] == pytest.approx(float(away_m.max()), rel=1e-9)
+    assert report["worst_s"] == pytest.approx(float(times_s[away_m.argmax()]), abs=1e-9)
     judged = next(r for r in proof.verdict.results if r.name == "contour_error")
-    assert 0.0 < told["worst_m"] <= judged.measured * (1.0 + 1e-9)
-    assert told["limit_m"] == judged.limit and told["at"] == "load"
+    assert 0.0 < report["worst_m"] <= judged.measured * (1.0 + 1e-9)
+    assert report["limit_m"] == judged.limit and report["at"] == "load"
 
 
 def test_live_contour_is_reported_during_the_run(proof: Proof) -> None:
@@ -83,11 +83,11 @@ def test_live_contour_is_reported_during_the_run(proof: Proof) -> None:
     while live.report() is None:
         assert time.monotonic() < end
         time.sleep(0.02)
-    told = live.report()
-    assert told is not None
-    assert 0.0 <= told["now_m"] <= told["worst_m"]
+    report = live.report()
+    assert report is not None
+    assert 0.0 <= report["now_m"] <= report["worst_m"]
     given_s = count[0] * float(proof.recording.channels[0].clock.period_s)
-    assert 0.0 <= told["worst_s"] <= given_s < proof.plan.duration_s
+    assert 0.0 <= report["worst_s"] <= given_s < proof.plan.duration_s
     live.close()
 
 
@@ -99,15 +99,15 @@ def test_live_contour_needs_a_measured_position(proof: Proof) -> None:
     assert live is not None
     fed(proof, live)
     live.close()
-    told = live.report()
-    assert told is not None and told["at"] == "encoder" and told["worst_m"] > 0.0
+    report = live.report()
+    assert report is not None and report["at"] == "encoder" and report["worst_m"] > 0.0
     blind = tuple(c for c in encoders if c.kind is not ChannelKind.MEASURED)
     assert LiveContour.of(proof.plan, proof.spec, blind) is None
     assert LiveContour.of(proof.plan, replace(proof.spec, criteria=()), encoders) is None
 
 
 def test_a_sink_beside_another_gets_all(proof: Proof) -> None:
-    first, second = Kept(), Kept()
+    first, second = MemorySink(), MemorySink()
     both = Also(first, second)
     both.begin(proof.recording.channels, True)
     for block in proof.recording:
@@ -134,16 +134,16 @@ def test_a_run_tells_its_error_ten_times_a_second_and_keeps_the_worst(project: P
             for one in anna.heard
             if one["type"] == "state" and one["state"] == "running"
         ]
-        told = [contour for _, contour in seen if contour is not None]
+        contours = [contour for _, contour in seen if contour is not None]
         first, last = (next(t for t, c in way if c is not None) for way in (seen, seen[::-1]))
         assert first < 0.5 * last
         moved = [one for one in seen if one[0] >= first]
-        assert len(told) == len(moved)
-        fresh = np.count_nonzero(np.diff([one["now_m"] for one in told]))
+        assert len(contours) == len(moved)
+        fresh = np.count_nonzero(np.diff([one["now_m"] for one in contours]))
         assert fresh >= 10.0 * (last - first) * 0.5  # half of them: a busy computer
-        assert told[-1]["limit_m"] == pytest.approx(LIMIT_M)
+        assert contours[-1]["limit_m"] == pytest.approx(LIMIT_M)
         while not (anna.hear()["type"] == "state" and anna.state["progress"]["verdict"]):
             pass
         kept = anna.state["progress"]["contour"]
-        assert kept["worst_m"] >= max(one["worst_m"] for one in told) > 0.0
+        assert kept["worst_m"] >= max(one["worst_m"] for one in contours) > 0.0
         assert 0.0 < kept["worst_s"] < anna.state["progress"]["duration_s"] + 1.0

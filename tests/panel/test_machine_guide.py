@@ -22,13 +22,13 @@ def test_the_guide_is_that_of_the_machine_file(
         known = {**LOCAL, "authorization": f"Bearer {'t' * 16}"}
         found = client.get("/api/guide", headers=known).json()
         printable = client.get("/api/guide.pdf", headers=known)
-    wanted = guide_of(winder()).tables
+    expected = guide_of(winder()).tables
     assert found["machine"] == "lathe-winder"
-    assert [one["title"] for one in found["tables"]] == [table.title for table in wanted]
+    assert [one["title"] for one in found["tables"]] == [table.title for table in expected]
     assert found["tables"][-1]["title"] == "Calibration, step by step"
     assert found["tables"][-1]["note"]
-    for told, table in zip(found["tables"], wanted, strict=True):
-        assert told["rows"] == [list(row) for row in table.rows]
+    for rows, table in zip(found["tables"], expected, strict=True):
+        assert rows["rows"] == [list(row) for row in table.rows]
     assert printable.headers["content-type"] == "application/pdf"
     assert printable.content.startswith(b"%PDF")
     assert list(folder.glob("*")) == []

@@ -31,10 +31,10 @@ from tests.panel.bench import (
 from threadline.live.states import Cause, Desk, State
 from threadline.live.store.run_store import opened
 from threadline.live.wire import Connection, Message
-from threadline.panel import calculating, kept_runs
-from threadline.panel.kept_runs import KeptRuns, Owned
+from threadline.panel import calculating, stored_runs
 from threadline.panel.panel import end_words
 from threadline.panel.protocol import CLIENT_MESSAGE
+from threadline.panel.stored_runs import Owned, StoredRuns
 
 SPEED = 2.0
 
@@ -74,13 +74,13 @@ def test_a_run_from_home_to_verdict(project: Path) -> None:
         anna.see("idle")
         while not (anna.hear()["type"] == "state" and anna.state["progress"]["verdict"]):
             pass
-        told = anna.state["progress"]
-        assert (told["ended"], told["why"]) == ("completed", "")
-        assert told["verdict"].startswith("IN SPEC")
-        assert told["time_s"] >= told["duration_s"] > 3.0
-    kept = opened(project / "runs")
-    assert kept is not None
-    (record,) = [r for r in kept.index.runs() if r.run == told["run"]]
+        progress = anna.state["progress"]
+        assert (progress["ended"], progress["why"]) == ("completed", "")
+        assert progress["verdict"].startswith("IN SPEC")
+        assert progress["time_s"] >= progress["duration_s"] > 3.0
+    store = opened(project / "runs")
+    assert store is not None
+    (record,) = [r for r in store.index.runs() if r.run == progress["run"]]
     assert (record.ended, record.passed, record.link) == ("completed", True, "sim")
 
 
@@ -93,8 +93,8 @@ def test_hold_resume_and_a_stop_by_who_only_watches(project: Path) -> None:
         anna.see("holding")
         held = stands(anna)
         # The plan is at the shown time: braking took fewer rows than ticks.
-        figures, told = proven(project)[1], anna.state["progress"]
-        meant = np.interp(told["time_s"], figures["times_s"], figures["planned"]["X"])
+        figures, progress = proven(project)[1], anna.state["progress"]
+        meant = np.interp(progress["time_s"], figures["times_s"], figures["planned"]["X"])
         assert held == pytest.approx(1e3 * meant, abs=0.02)
         assert "resume" in anna.state["allowed"]
         assert anna.act("resume") == ""
@@ -290,27 +290,27 @@ def test_a_silent_server_is_one_that_could_not_stop_it(project: Path) -> None:
     ]
     for thread in threads:
         thread.start()
-    to, said, states = Connection(server), [""], [""]
+    to, text, states = Connection(server), [""], [""]
     for number, (what, words) in enumerate(
         (("enable", {}), ("home", {}), ("jog", {"axis": "X", "velocity": 0.01}))
     ):
         to.send(Message(what, {"number": number, **words}))
-    while not said[-1] and states[-2:] != ["jogging", "idle"]:
+    while not text[-1] and states[-2:] != ["jogging", "idle"]:
         message = to.receive(60.0)
         assert message is not None
         if message.kind == "said":
-            said.append(message.head["text"])
+            text.append(message.head["text"])
         elif message.kind == "now" and message.head["state"] != states[-1]:
             states.append(message.head["state"])
     to.close()
     for thread in threads:
         thread.join(20.0)
-    assert said[-1] == "the web server is silent: stopped"
+    assert text[-1] == "the web server is silent: stopped"
 
 
 def test_a_stop_does_not_take_the_reason_of_a_fault_away(tmp_path: Path) -> None:
     owned = Owned(winder(), None, tmp_path, tmp_path / "runs", 1.0)
-    runs = KeptRuns(owned, "", lambda *_: None)
+    runs = StoredRuns(owned, "", lambda *_: None)
     runs.state(3, State.FAULT, Cause.FAULT, "a tick came 6 periods late")
     runs.state(9, State.FAULT, Cause.STOP, "")
     assert runs.why == "a tick came 6 periods late"
@@ -322,7 +322,7 @@ def test_a_stop_before_it_begins_ends_a_start(
     project: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A stop during the check of a start is not lost, and nothing moves afterwards."""
-    heard, check, ask = threading.Event(), kept_runs.check_halts, Desk.ask
+    heard, check, ask = threading.Event(), stored_runs.check_halts, Desk.ask
 
     def checked(*given: Any, **named: Any) -> None:
         assert heard.wait(60.0)
@@ -333,7 +333,7 @@ def test_a_stop_before_it_begins_ends_a_start(
         if cause is Cause.STOP:
             heard.set()
 
-    monkeypatch.setattr(kept_runs, "check_halts", checked)
+    monkeypatch.setattr(stored_runs, "check_halts", checked)
     monkeypatch.setattr(Desk, "ask", asked)
     with served(project, SPEED) as client, operator(client) as anna:
         anna.ready()
@@ -364,17 +364,17 @@ def test_a_stop_by_two_ways_is_told_once(project: Path) -> None:
         ben.say(type="stop", number=1)
         ben.say(type="stop", number=2)
         client.post("/api/stop", headers={"x-stop": "nobody"})
-        while len(told := [one["text"] for one in anna.heard if one["type"] == "said"]) < 3:
+        while len(messages := [one["text"] for one in anna.heard if one["type"] == "said"]) < 3:
             anna.hear()
-        assert told == [f"stopped by Ben ({ben.number})"] * 2 + ["stopped by a request"]
+        assert messages == [f"stopped by Ben ({ben.number})"] * 2 + ["stopped by a request"]
 
 
-@pytest.mark.parametrize("state, why, told", [
+@pytest.mark.parametrize("state, why, progress", [
     ("fault", "axis X: 3 mm off", "the machine stands, in a fault: axis X: 3 mm off"),
     ("idle", "", "the machine was stopped, and is idle"),
 ])  # fmt: skip
-def test_a_panel_that_ends_tells_how_the_machine_is(state: str, why: str, told: str) -> None:
-    assert end_words({"state": state, "why": why}) == told
+def test_a_panel_that_ends_tells_how_the_machine_is(state: str, why: str, progress: str) -> None:
+    assert end_words({"state": state, "why": why}) == progress
 
 
 def test_uploads_undo_what_was_proven(project: Path) -> None:
@@ -392,10 +392,16 @@ def test_uploads_undo_what_was_proven(project: Path) -> None:
 def test_a_calculation_in_a_process_of_its_own(project: Path) -> None:
     """The panel writes the request and reads the answer as usual."""
     words, found = proven(project)
-    told = {**words, "folder": str(project), "machine": "lathe-winder", "par": None, "spec": None}
+    request = {
+        **words,
+        "folder": str(project),
+        "machine": "lathe-winder",
+        "par": None,
+        "spec": None,
+    }
     done = subprocess.run(
         [sys.executable, "-c", "from threadline.panel.calculating import main; main()"],
-        input=json.dumps(told), capture_output=True, text=True, check=True, timeout=300,
+        input=json.dumps(request), capture_output=True, text=True, check=True, timeout=300,
     )  # fmt: skip
     lines = [json.loads(line) for line in done.stdout.splitlines()]
     assert lines[-1]["figures"] == found
@@ -406,8 +412,14 @@ def test_a_calculation_that_cannot_be_made_says_why(
     project: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     words, _ = proven(project)
-    told = {**words, "folder": str(project), "machine": "lathe-winder", "par": None, "spec": None}
-    asked = io.StringIO(json.dumps({**told, "program": "none.prg"}))
+    request = {
+        **words,
+        "folder": str(project),
+        "machine": "lathe-winder",
+        "par": None,
+        "spec": None,
+    }
+    asked = io.StringIO(json.dumps({**request, "program": "none.prg"}))
     monkeypatch.setattr(sys, "stdin", asked)
     monkeypatch.setattr(os, "nice", lambda _: 0)  # this process goes on with other tests
     calculating.main()

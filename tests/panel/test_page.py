@@ -34,7 +34,7 @@ from tests.panel.browsing import (
 from tests.panel.test_panel_killed import Plant
 
 
-def told_mm(plant: Plant) -> float:
+def shown_mm(plant: Plant) -> float:
     """Return the commanded X: at rest the time of this machine stands still."""
     with urllib.request.urlopen(f"http://127.0.0.1:{plant.port}/api/state") as answer:
         return 1e3 * float(json.load(answer)["axes"]["X"]["commanded"])
@@ -117,8 +117,8 @@ def test_jogs_by_keys_while_they_are_held(browser: Browser, plant: Plant) -> Non
     page.keyboard.up("ArrowRight")
     assert stands(page) == 0.0
     page.get_by_label("Jog by keys").check()
-    jog_until(page, "ArrowRight", lambda: told_mm(plant) > 2.0)
-    there = told_mm(plant)
+    jog_until(page, "ArrowRight", lambda: shown_mm(plant) > 2.0)
+    there = shown_mm(plant)
     page.keyboard.press("+")
     expect(page.locator("#share-shown")).to_have_text("75 %")
 
@@ -136,10 +136,10 @@ def test_jogs_by_keys_while_they_are_held(browser: Browser, plant: Plant) -> Non
     page.get_by_role("heading", name="Machine").click()
     page.keyboard.press("ArrowLeft")
     until, stepped = time.monotonic() + 60.0, pytest.approx(there - 1.0, abs=0.5 / 55.358)
-    while told_mm(plant) != stepped:  # within half a count
-        assert time.monotonic() < until, told_mm(plant)
+    while shown_mm(plant) != stepped:  # within half a count
+        assert time.monotonic() < until, shown_mm(plant)
     stands(page)
-    assert told_mm(plant) == stepped
+    assert shown_mm(plant) == stepped
     press(page, "Release control")
     expect(page.get_by_label("Jog by keys")).not_to_be_checked()
     shot(page, "7-keys")
@@ -238,8 +238,8 @@ def test_a_server_that_is_gone_is_told_at_once_and_until_it_is_back(
         }"""
     )
     os.kill(plant.server, signal.SIGKILL)
-    told = page.evaluate("() => window.gone")
-    assert told.startswith("no connection: trying again; a run goes on, unless the panel has ended")
+    gone = page.evaluate("() => window.gone")
+    assert gone.startswith("no connection: trying again; a run goes on, unless the panel has ended")
     page.close()
 
 

@@ -68,14 +68,14 @@ def test_files_that_are_no_programs(browser: Browser, plant: Plant, tmp_path: Pa
     part(page, "Prepare")
     expect(page.locator("#program")).to_have_value("there.prg")
     expect(page.locator("#extent")).to_contain_text("X 0.0 to 60.0 mm")
-    for name, told in (
+    for name, text in (
         ("long.prg", "long.prg has more than 8 MiB"),
         ("binary.prg", "binary.prg:1: controllers execute the byte 0x00 at once"),
         ("picture.png", "has a suffix of no format"),
         ("rosette.dst", "rosette.dst is in the project folder. It is no program of this machine"),
     ):
         page.locator("#file").set_input_files(files / name)
-        expect(page.locator("#log")).to_contain_text(told)
+        expect(page.locator("#log")).to_contain_text(text)
         expect(page.locator("#program")).to_have_value("there.prg")
     assert not (tmp_path / "long.prg").exists() and not (tmp_path / "binary.prg").exists()
     page.close()

@@ -88,14 +88,14 @@ def test_messages_show_in_every_view_and_the_end_of_a_run_stays(
     browser: Browser, plant: Plant
 ) -> None:
     page = opened(browser, plant)
-    said = page.locator("#toasts [role=alert]")
+    toast = page.locator("#toasts [role=alert]")
     part(page, "Draw")
     press(page, "Use as mandrel")
-    expect(said).to_contain_text("a profile is one chosen line")
+    expect(toast).to_contain_text("a profile is one chosen line")
     part(page, "Review")
-    expect(said).to_be_visible()
+    expect(toast).to_be_visible()
     press(page, "Close this message")
-    expect(said).to_have_count(0)
+    expect(toast).to_have_count(0)
     part(page, "Run")
     expect(page.locator("#log")).to_contain_text("a profile is one chosen line")
     expect(page.locator("#log-count")).to_have_text("1 message, 1 about trouble")

@@ -19,8 +19,8 @@ def data(page: Page, shape: int) -> str:
 
 def seen(page: Page) -> list[float]:
     """Return x, y, width and height of the view, in mm with y downwards."""
-    told = page.locator("#paper svg").get_attribute("viewBox") or ""
-    return [float(one) for one in told.split()]
+    view_box = page.locator("#paper svg").get_attribute("viewBox") or ""
+    return [float(one) for one in view_box.split()]
 
 
 def width(page: Page, shape: int) -> float:

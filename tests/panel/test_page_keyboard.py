@@ -52,13 +52,13 @@ def enter(page: Page, name: str) -> None:
 def test_keys_stop_in_every_view(browser: Browser, plant: Plant) -> None:
     """This holds with control and without."""
     page = opened(browser, plant)
-    said = page.locator("#log li", has_text="stopped by")
+    entries = page.locator("#log li", has_text="stopped by")
     for count, name in enumerate(("Prepare", "Run", "Teach", "Draw", "Review", "Guide")):
         part(page, name)
         expect(page.get_by_role("button", name="STOP")).to_be_visible()
-        before = said.count()
+        before = entries.count()
         page.keyboard.press("Escape" if count % 2 else " ")
-        expect(said.nth(before)).to_have_count(1, timeout=60_000)
+        expect(entries.nth(before)).to_have_count(1, timeout=60_000)
     page.close()
 
 

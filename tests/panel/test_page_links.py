@@ -112,8 +112,8 @@ def test_a_grbl_program_is_held_in_the_middle_and_a_lost_link_comes_back(
 def console_is_used(page: Page, model: GrblModel) -> None:
     """Send a command, be refused, write a wrong setting, and restore the right one by a button."""
     expect(page.locator("#board-fill")).to_contain_text("planner: 0 of 15 blocks")
-    told = page.locator("#board-told")
-    expect(told).to_contain_text("Compared with the machine file: 6 the same.")
+    board_text = page.locator("#board-told")
+    expect(board_text).to_contain_text("Compared with the machine file: 6 the same.")
     line = page.get_by_label("Line for the controller")
     line.fill("$i")
     line.press("Enter")
@@ -131,13 +131,13 @@ def console_is_used(page: Page, model: GrblModel) -> None:
     line.press("Enter")
     state(page, "fault")
     expect(page.locator("#state")).to_contain_text("the setting $110 was written")
-    expect(told).to_contain_text("1 must be corrected, 5 the same")
+    expect(board_text).to_contain_text("1 must be corrected, 5 the same")
     first = page.locator("#board-settings tr").nth(1)
     expect(first).to_contain_text("highest speed of X")
     press(page, "Put $110=24000 into the line of the console")
     expect(line).to_have_value("$110=24000")
     line.press("Enter")
-    expect(told).to_contain_text("6 the same")
+    expect(board_text).to_contain_text("6 the same")
     press_until(page, "Reset", "disabled")
     press_until(page, "Enable", "enabled")
     press_until(page, "Home all", "homing|idle")
@@ -189,7 +189,7 @@ def test_page_says_that_an_axis_is_not_homed_and_a_file_exists(
         expect(page.locator("#ask-text")).to_have_text("there.prg is in the project folder already")
         press(page, answer)
         expect(page.locator("#ask-row")).to_be_hidden()
-        said = "is kept" if answer == "Keep it" else "there.prg is in the project folder"
-        expect(page.locator("#log li").first).to_contain_text(said)
+        message = "is kept" if answer == "Keep it" else "there.prg is in the project folder"
+        expect(page.locator("#log li").first).to_contain_text(message)
         assert kept.read_text("utf-8") == content
     page.close()

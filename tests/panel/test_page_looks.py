@@ -163,10 +163,10 @@ def test_nothing_is_wider_than_the_screen_and_the_run_is_in_sight(
             stop = page.locator("#stop").bounding_box()
             assert stop is not None
             corners.add((round(width - stop["x"] - stop["width"]), round(stop["y"])))
-            for wanted in ("#state", "#time-left", "#progress", "#now-program"):
-                box = page.locator(wanted).bounding_box()
+            for expected in ("#state", "#time-left", "#progress", "#now-program"):
+                box = page.locator(expected).bounding_box()
                 assert box is not None
-                assert box["y"] + box["height"] < height / 2, (name, wanted)
+                assert box["y"] + box["height"] < height / 2, (name, expected)
             hold = page.get_by_role("button", name="Hold", exact=True).bounding_box()
             assert hold is not None
             assert hold["height"] >= LEAST_PX

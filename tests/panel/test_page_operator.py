@@ -110,8 +110,8 @@ def test_an_operators_day(browser: Browser, tmp_path: Path) -> None:
         page.locator("#interpolation").select_option("optimal")
         calculated(page, EXAMPLE.name)
         figures = page.locator("#figures")
-        for told in ("IN SPEC", "duration", "ticks", "circuits", "points"):
-            expect(figures).to_contain_text(told)
+        for text in ("IN SPEC", "duration", "ticks", "circuits", "points"):
+            expect(figures).to_contain_text(text)
         expect(page.locator("#criteria")).to_contain_text("the tool stays within 0.500 mm of its")
         press(page, "Simulate")
         expect(page.locator("#seen")).to_contain_text("SIMULATED, not the machine")

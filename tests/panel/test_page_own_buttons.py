@@ -64,10 +64,10 @@ def test_a_button_has_only_steps_of_its_machine(browser: Browser, plant: Plant) 
     ready(page)
     page.locator("#own-edit summary").click()
     page.locator("#own-name").fill("Wrong")
-    for text, told in (("feed 50 %", "no feed"), ("line $G", "takes no typed lines")):
+    for text, message in (("feed 50 %", "no feed"), ("line $G", "takes no typed lines")):
         page.locator("#own-steps").fill(text)
         press(page, "Save button")
-        expect(page.locator("#own-wrong")).to_contain_text(told)
+        expect(page.locator("#own-wrong")).to_contain_text(message)
     page.locator("#own-steps").fill("program nobody.toml\nhome")
     press(page, "Save button")
     page.get_by_role("button", name="Wrong", exact=True).click()

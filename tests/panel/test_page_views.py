@@ -183,14 +183,14 @@ def test_an_embroidery_is_sewn(browser: Browser, plant: Plant) -> None:
     page.keyboard.press("Escape")  # the thread broke
     state(page, "idle")
     expect(page.locator("#space p")).to_contain_text("of 185, thread")  # how far it is sewn
-    told = page.locator("#rest-here-told")
-    expect(told).to_contain_text("home the machine first")
+    hint = page.locator("#rest-here-told")
+    expect(hint).to_contain_text("home the machine first")
     press_until(page, "Home all", "homing|idle")
     state(page, "idle")
-    expect(told).to_contain_text("After a thread break, go some stitches back.", timeout=60_000)
+    expect(hint).to_contain_text("After a thread break, go some stitches back.", timeout=60_000)
     page.locator("#back-stitches input").fill("5")
     press(page, "Back")
-    expect(told).to_contain_text("with needle and tools off. Start the rest confirms")
+    expect(hint).to_contain_text("with needle and tools off. Start the rest confirms")
     shot(page, "15-back")
     press(page.locator("#rest-here"), "Start the rest")
     state(page, "running")

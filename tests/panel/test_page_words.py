@@ -55,8 +55,8 @@ def test_the_list_of_runs_has_the_words_of_the_verdict(browser: Browser, plant: 
     expect(page.locator("#last-run-told")).to_have_class("verdict")
     expect(page.locator(".wrong", has_text="not proven")).to_have_count(0)
     part(page, "Review")
-    for told in ("stopped by the operator", "not proven"):
-        expect(page.locator("#kept tbody td:not(.wrong)", has_text=told)).to_have_count(1)
+    for text in ("stopped by the operator", "not proven"):
+        expect(page.locator("#kept tbody td:not(.wrong)", has_text=text)).to_have_count(1)
     page.close()
 
 
@@ -78,8 +78,8 @@ def test_unavailable_buttons_are_grey_with_the_reason(browser: Browser, plant: P
     press_until(page, "Start", "running")
     expect(page.locator("#log")).to_contain_text("rosette: completed. IN SPEC")
     part(page, "Review")
-    for told in ("completed", "in spec"):
-        expect(page.locator("#kept tbody td", has_text=told)).to_have_text(told)
+    for text in ("completed", "in spec"):
+        expect(page.locator("#kept tbody td", has_text=text)).to_have_text(text)
     expect(page.get_by_role("button", name="Continue", exact=True)).to_be_hidden()
     expect(page.locator("#rest-notes")).to_contain_text("nothing of it is left to do")
     page.close()
@@ -130,8 +130,10 @@ def test_typed_options_are_sent_with_the_request(browser: Browser, plant: Plant)
     )
     calculate(page)
     page.wait_for_function("() => window.asked.some((one) => one.includes('calculate'))")
-    told = [json.loads(one) for one in page.evaluate("() => window.asked")]
-    (sent,) = [one["command"] for one in told if one.get("command", {}).get("what") == "calculate"]
+    commands = [json.loads(one) for one in page.evaluate("() => window.asked")]
+    (sent,) = [
+        one["command"] for one in commands if one.get("command", {}).get("what") == "calculate"
+    ]
     assert {name: sent[name] for name in asked} == asked
     assert (sent["interpolation"], sent["feed_forward"]) == ("default", False)
     assert "shaper" not in sent

@@ -57,9 +57,9 @@ def test_the_trace_after_a_run_and_its_export(
     exported, recorded = read_recording(file), read_recording(kept)
     measured = recorded.samples("X.measured")[1]
     assert exported.samples("X.measured")[1] == pytest.approx(measured, abs=1e-9)
-    told = thinned(recorded)["axes"]["X"]
+    trace = thinned(recorded)["axes"]["X"]
     deviation = recorded.samples("X.load")[1] - recorded.samples("X.commanded")[1]
-    shown = np.array(told["actual"]) - np.array(told["commanded"])
+    shown = np.array(trace["actual"]) - np.array(trace["commanded"])
     assert np.abs(shown).max() == pytest.approx(np.abs(deviation).max(), abs=2e-8)
     with page.expect_download(timeout=120_000) as download:
         press(page, "Report")
@@ -148,8 +148,8 @@ def test_a_profile_and_a_stitch_path_are_drawn(
     typed(page, (0, 20), (50, 50), (150, 50), (200, 20))
     page.locator("#typed-point").press("Enter")
     press(page, "Use as mandrel")
-    wanted = "A=20 mm at X 0 mm; 50 mm at X 50 mm; 50 mm at X 150 mm; 20 mm at X 200 mm"
-    expect(page.locator("#radius")).to_have_value(wanted)
+    expected = "A=20 mm at X 0 mm; 50 mm at X 50 mm; 50 mm at X 150 mm; 20 mm at X 200 mm"
+    expect(page.locator("#radius")).to_have_value(expected)
 
     press(page, "Circle")
     typed(page, (100, 80), (110, 80))

@@ -78,9 +78,9 @@ def test_panel_reports_wrong_options_in_one_line(
     with pytest.raises(SystemExit) as ended:
         main(["panel", "-m", "lathe-winder", *words])
     assert ended.value.code == 2
-    said = capsys.readouterr().err
-    assert says in said
-    assert said.count("\n") == 1
+    errors = capsys.readouterr().err
+    assert says in errors
+    assert errors.count("\n") == 1
 
 
 @pytest.mark.parametrize(
@@ -128,9 +128,9 @@ def test_panel_without_its_page_says_how_to_build_it(
     with pytest.raises(SystemExit) as ended:
         main(["panel", "-m", "lathe-winder"])
     assert ended.value.code == 2
-    told = capsys.readouterr()
-    assert not told.out
-    assert told.err == (
+    captured = capsys.readouterr()
+    assert not captured.out
+    assert captured.err == (
         "error: [OPTION] the page of the panel was not built in this checkout. Run: make panel\n"
     )
 

@@ -52,9 +52,9 @@ def alarm_is_well(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def reads_outside(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    told = {"radius": "A=../secret.csv"}
+    options = {"radius": "A=../secret.csv"}
     test_admission.test_no_file_outside_of_the_project_is_read(
-        folder, monkeypatch, "there.prg", told
+        folder, monkeypatch, "there.prg", options
     )
 
 

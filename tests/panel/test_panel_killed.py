@@ -61,9 +61,9 @@ class Plant:
         link, far = socket.socketpair()
         ends = (listening, ours, theirs, link, far)
 
-        def only(*kept: socket.socket) -> None:
+        def only(*counts: socket.socket) -> None:
             for end in ends:
-                if end not in kept:
+                if end not in counts:
                     end.close()
 
         def machine_main() -> None:
@@ -102,9 +102,9 @@ class Plant:
         """Wait for owner and machine, which end by themselves; return what the machine did."""
         for pid in (self.owner, self.machine):
             assert os.waitpid(pid, 0)[1] == 0
-        kept: dict[str, list[float]] = json.loads(self.box.read_text("utf-8"))
-        assert kept["held"] == [0.0]
-        return kept
+        counts: dict[str, list[float]] = json.loads(self.box.read_text("utf-8"))
+        assert counts["held"] == [0.0]
+        return counts
 
 
 @pytest.fixture(scope="module")
@@ -142,10 +142,10 @@ def moving(anna: Operator, begin: Callable[[Operator], None], until_s: float) ->
     return anna.x_mm()
 
 
-def at_clock(kept: dict[str, list[float]], clock_s: float) -> float:
+def at_clock(counts: dict[str, list[float]], clock_s: float) -> float:
     """Return the commanded X in mm at a time of the clock."""
-    played = np.array(kept["played"])[np.array(kept["clock"]) <= clock_s]
-    return 1e3 * kept["x"][int(played[-1]) - 1] if len(played) and played[-1] else 0.0
+    played = np.array(counts["played"])[np.array(counts["clock"]) <= clock_s]
+    return 1e3 * counts["x"][int(played[-1]) - 1] if len(played) and played[-1] else 0.0
 
 
 @pytest.mark.long(but=("jog-15.0-0.114", "jog-15.0-0.472", "run-9.0-0.114"))
@@ -168,9 +168,9 @@ def test_kill_the_server(
         killed_s = time.monotonic()
         os.kill(plant.server, signal.SIGKILL)
         os.waitpid(plant.server, 0)
-        kept = plant.end()
-    x_mm = 1e3 * np.array(kept["x"])
-    assert abs(x_mm[-1] - at_clock(kept, killed_s)) <= most_mm
+        counts = plant.end()
+    x_mm = 1e3 * np.array(counts["x"])
+    assert abs(x_mm[-1] - at_clock(counts, killed_s)) <= most_mm
     assert np.abs(np.diff(x_mm[-20:])).max() <= 0.362 * 2  # it brakes: no step to rest
 
 

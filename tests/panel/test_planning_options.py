@@ -92,9 +92,9 @@ def test_the_panel_proves_what_the_command_line_proves(
 
 def test_the_page_tells_the_defaults_of_the_command_line() -> None:
     page = (ROOT / "web" / "index.html").read_text("utf-8")
-    told = dict(re.findall(r'id="([a-z-]+)" placeholder="([^"]*)"', page))
-    assert told["tolerance"] == DEFAULT_TOLERANCE
-    assert told["contour"] == f"{DEFAULT_CONTOUR_M * 1e3:g} mm, with optimal"
+    placeholders = dict(re.findall(r'id="([a-z-]+)" placeholder="([^"]*)"', page))
+    assert placeholders["tolerance"] == DEFAULT_TOLERANCE
+    assert placeholders["contour"] == f"{DEFAULT_CONTOUR_M * 1e3:g} mm, with optimal"
     fields = set(re.findall(r'data-option="([a-z-]+)"', page))
     names = re.findall(r' id="([^"]+)"', page)
     assert len(names) == len(set(names))

@@ -23,7 +23,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return found
 
 
-def told(folder: Path, priority: str) -> dict[str, Any]:
+def request_by_priority(folder: Path, priority: str) -> dict[str, Any]:
     asked = CASES["lathe-winder"].model_dump(exclude={"what"})
     options = words_of(asked)
     job = open_job(program_path(folder, "there.prg"), winder(), options)
@@ -34,7 +34,7 @@ def told(folder: Path, priority: str) -> dict[str, Any]:
 
 def test_accuracy_is_the_normal_feed(folder: Path) -> None:
     """10 counts in a tick of 5 ms are 36.13 mm/s on X, which has 55.358 counts/mm."""
-    plan, _ = planned(folder, told(folder, "accuracy"), winder())
+    plan, _ = planned(folder, request_by_priority(folder, "accuracy"), winder())
     assert plan.duration_s == pytest.approx(2 * 60.0 / (10.0 / 55.358 / 0.005), rel=0.02)
 
 
@@ -42,7 +42,7 @@ def test_accuracy_is_the_normal_feed(folder: Path) -> None:
 def test_speed_is_in_spec_and_optimum_keeps_a_fifth_of_every_limit(folder: Path) -> None:
     spec, durations_s = load_spec(None, winder()), []
     for priority, asked in (("speed", spec), ("optimum", spec.with_margin(0.2))):
-        plan, _ = planned(folder, told(folder, priority), winder())
+        plan, _ = planned(folder, request_by_priority(folder, priority), winder())
         assert prove_plan(plan, asked, None, NOMINAL).verdict.passed
         durations_s.append(plan.duration_s)
     assert durations_s[0] < durations_s[1]

@@ -13,7 +13,7 @@ from threadline.commands.plan import Plan
 from threadline.errors import CommandError
 from threadline.live.supervised import Interventions, interventions
 from threadline.machine import load_machine
-from threadline.panel import kept_runs, run_work
+from threadline.panel import run_work, stored_runs
 from threadline.proof.options import options_of
 from threadline.proof.pipeline import open_job, plan_job
 from threadline.verdict import Spec, load_spec
@@ -56,10 +56,10 @@ def test_another_process_finds_the_same() -> None:
 
 def test_the_owner_stays_small() -> None:
     """In its own process the simulation takes more than 50 MB, which are not returned."""
-    told = subprocess.run(
+    done = subprocess.run(
         [sys.executable, "-c", STAYS_SMALL], check=True, capture_output=True, text=True
     )
-    assert float(told.stdout) < 10.0
+    assert float(done.stdout) < 10.0
 
 
 def test_a_process_that_cannot_be_started_refuses_the_start(
@@ -79,7 +79,7 @@ def test_a_proof_that_is_started_again_is_not_simulated_again(
         asked.append(plan.job.name)
         return interventions(plan, spec)
 
-    monkeypatch.setattr(kept_runs, "interventions_apart", counted)
+    monkeypatch.setattr(stored_runs, "interventions_apart", counted)
     proven(tmp_path)
     with served(tmp_path) as client, operator(client) as anna:
         anna.ready()
@@ -101,7 +101,7 @@ def test_a_judge_that_fails_is_told_in_place_of_a_verdict(
     def ends(*_: object) -> None:
         raise CommandError("the process that judges has ended without an answer")
 
-    monkeypatch.setattr(kept_runs, "judged_apart", ends)
+    monkeypatch.setattr(stored_runs, "judged_apart", ends)
     proven(tmp_path)
     with served(tmp_path) as client, operator(client) as anna:
         anna.ready()
@@ -112,6 +112,6 @@ def test_a_judge_that_fails_is_told_in_place_of_a_verdict(
         anna.see("idle")
         while not anna.until("state")["progress"]["verdict"]:
             pass
-        told = anna.state["progress"]["verdict"]
-        assert told.startswith("NOT JUDGED: the process that judges has ended without an answer")
+        verdict = anna.state["progress"]["verdict"]
+        assert verdict.startswith("NOT JUDGED: the process that judges has ended without an answer")
         assert anna.state["busy"] == ""

@@ -22,7 +22,7 @@ from threadline.verdict.registry import MEASURES
 ROOT = Path(__file__).parents[2]
 
 
-def told(*messages: Said | Answer | Figures) -> list[dict[str, object]]:
+def sent_to_client(*messages: Said | Answer | Figures) -> list[dict[str, object]]:
     """Return messages as a client gets them."""
     client = Client(1, "Anna")
     for message in messages:
@@ -39,18 +39,18 @@ def test_a_warning_of_a_proof_names_the_field_of_the_page() -> None:
     proof = prove(program, machine, spec, Options(interpolation="linear"), trials=NOMINAL)
     assert any("Choose another feed with --feed" in one for one in warnings_of(proof))
     found = Figures(**{**figures(proof), "feed": None, "proof": "0" * 64})
-    warnings = told(found)[0]["warnings"]
+    warnings = sent_to_client(found)[0]["warnings"]
     assert isinstance(warnings, list)
     assert any("Choose another feed with 'Feed', or" in one for one in warnings)
     assert not any("--" in one for one in warnings)
 
 
 def test_refusals_name_fields_or_the_command_line() -> None:
-    said, refused = told(
+    message, refused = sent_to_client(
         Said(text="--smoothing '9 ms' needs feed-forward. Give --feed-forward too.", wrong=True),
         Answer(number=1, ok=False, text="Leave --dialect out; a--b and --- are no options."),
     )
-    assert said["text"] == "'Smoothing' '9 ms' needs feed-forward. Give 'Loads follow' too."
+    assert message["text"] == "'Smoothing' '9 ms' needs feed-forward. Give 'Loads follow' too."
     assert refused["text"] == (
         "Leave --dialect of the command line out; a--b and --- are no options."
     )

@@ -20,7 +20,7 @@ from threadline.live.kinds_run import run_kind_of
 from threadline.live.path_window import rests_of
 from threadline.machine import load_machine
 from threadline.panel.job_views import plan_views
-from threadline.panel.kept_runs import next_hold
+from threadline.panel.stored_runs import next_hold
 from threadline.panel.welcoming import readings
 from threadline.proof.options import options_of
 from threadline.proof.pipeline import open_job, plan_job, prove_plan
@@ -53,9 +53,9 @@ def test_rests_are_found_and_the_next_hold_is_at_one_of_them() -> None:
     found = run_kind_of(winder()).rests_s(table)
     assert found is not None
     for now, at in ((0.0, 20.0), (25.0, 25.0), (99.0, None)):
-        told = next_hold(found, now * period_s)
-        assert told["hold_at_s"] == (None if at is None else pytest.approx(at * period_s, abs=1e-3))
-        assert told["hold"] == ("at the end" if at is None else "at a rest")
+        hold = next_hold(found, now * period_s)
+        assert hold["hold_at_s"] == (None if at is None else pytest.approx(at * period_s, abs=1e-3))
+        assert hold["hold"] == ("at the end" if at is None else "at a rest")
     assert next_hold(None, 1.0) == {"hold": "at once", "hold_at_s": None}
 
 

@@ -19,13 +19,13 @@ from tests.panel.bench import Known, Operator, operator, proven, served
 from threadline.cli.panel_ import to_standard_error
 from threadline.errors import CommandError
 from threadline.live.guards import clock_s
-from threadline.panel import kept_runs
 from threadline.panel import owner_process as owner_link
+from threadline.panel import stored_runs
 from threadline.panel.calculation import Calculation
-from threadline.panel.kept_runs import KeptRuns
 from threadline.panel.owner_process import OwnerLink
 from threadline.panel.panel import Panel
 from threadline.panel.protocol import Calculate, Figures
+from threadline.panel.stored_runs import StoredRuns
 
 ASKED = Calculate(what="calculate", program="there.prg")
 
@@ -66,7 +66,7 @@ def test_a_machine_is_switched_off_while_its_last_run_is_judged(
     project: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with (
-        held(monkeypatch, kept_runs, "judged_apart") as judge,
+        held(monkeypatch, stored_runs, "judged_apart") as judge,
         served(project) as client,
         operator(client) as anna,
     ):
@@ -97,7 +97,7 @@ def test_a_start_that_is_being_checked_is_given_up(
     project: Path, monkeypatch: pytest.MonkeyPatch, what: str
 ) -> None:
     with (
-        held(monkeypatch, KeptRuns, "_prepared") as check,
+        held(monkeypatch, StoredRuns, "_prepared") as check,
         served(project) as client,
         operator(client) as anna,
     ):
@@ -136,16 +136,16 @@ def test_a_machine_is_switched_off_while_a_program_is_calculated(
 
 def calculated(folder: Path, what: Any) -> list[Figures | str]:
     """Run a function on a calculation in an event loop, and return its messages."""
-    told: list[Figures | str] = []
+    answers: list[Figures | str] = []
 
     async def work() -> None:
         calculation = Calculation(winder(), None, folder, folder)
-        await what(calculation, told.append)
+        await what(calculation, answers.append)
         assert calculation.share is None
         await calculation.close()
 
     asyncio.run(work())
-    return told
+    return answers
 
 
 @pytest.mark.parametrize("turns", [0, 1, 2, 5])
@@ -188,9 +188,9 @@ def test_a_calculation_that_cannot_be_started_is_told_and_over(
             while calculation.share is not None:
                 await asyncio.sleep(0.01)
 
-    (told,) = calculated(tmp_path, refused)
-    assert isinstance(told, str)
-    assert says in told
+    (answer,) = calculated(tmp_path, refused)
+    assert isinstance(answer, str)
+    assert says in answer
 
 
 # --- a link that is lost ------------------------------------------------------------------
@@ -304,6 +304,6 @@ def test_errors_of_asyncio_are_written(
         )
 
     asyncio.run(work())
-    said = capsys.readouterr().err
-    assert "error of the panel: no files left" in said
-    assert "at the end" not in said
+    errors = capsys.readouterr().err
+    assert "error of the panel: no files left" in errors
+    assert "at the end" not in errors

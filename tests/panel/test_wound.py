@@ -37,8 +37,10 @@ PRODUCT = (
 def _calculate(folder: Path, machine: str = "lathe-winder", **words: Any) -> dict[str, Any]:
     usual = {"program": "helix.prg", "interpolation": "linear", "level": "nominal"}
     asked = Calculate(what="calculate", **{**usual, **words})
-    told = {**asked.model_dump(exclude={"what"}), "proof_file": str(folder / "proof.json")}
-    return calculate({**told, "folder": str(folder), "machine": machine, "par": None, "spec": None})
+    request = {**asked.model_dump(exclude={"what"}), "proof_file": str(folder / "proof.json")}
+    return calculate(
+        {**request, "folder": str(folder), "machine": machine, "par": None, "spec": None}
+    )
 
 
 @pytest.fixture(scope="module")
@@ -94,18 +96,18 @@ def test_the_tension_is_told_in_pieces_with_its_least_and_its_most() -> None:
         RecordingBlock(first_tick={"tick": at}, samples={"tension": part})
         for at, part in ((0, values[:5_000]), (5_000, values[5_000:]))
     ]
-    told = Recording(
+    recording = Recording(
         channels=(pulled,), blocks=Stream.of(blocks), job_sha256="", machine_sha256="",
         simulated=True,
     )  # fmt: skip
-    found = tension_figures(told)
+    found = tension_figures(recording)
     assert found is not None
     assert len(found["mean"]) == len(found["times_s"]) == 4_334  # three samples each
     assert found["times_s"][:2] == [0.0, 0.015] and found["mean"][-1] == 8.0
     assert found["mean"][33] == pytest.approx(7.0 + 2.5 / 3.0, abs=1e-6)
     assert (found["least"], found["most"]) == (7.0, 9.5)
     none = Channel(name="x", kind=ChannelKind.COMMANDED, unit="m", axis="X", clock=clock)
-    assert tension_figures(replace(told, channels=(none,), blocks=Stream.of(()))) is None
+    assert tension_figures(replace(recording, channels=(none,), blocks=Stream.of(()))) is None
 
 
 @pytest.mark.long(shown_by="test_the_tension_is_told_in_pieces_with_its_least_and_its_most")

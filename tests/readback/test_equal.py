@@ -57,8 +57,8 @@ def test_every_target_of_the_winder_is_the_plan(job: Path) -> None:
     lacking = {"nc", "linuxcnc"} if shutil.which("rs274") is None else set()
     assert {name for name, verdict in verdicts.items() if verdict == "skipped"} == lacking
     # No machine file of this winder has a planner, so no firmware code has run.
-    alone = {name for name, verdict in verdicts.items() if verdict == "read back"}
-    assert alone == set(BOARDS) - {"linuxcnc"}
+    single = {name for name, verdict in verdicts.items() if verdict == "read back"}
+    assert single == set(BOARDS) - {"linuxcnc"}
     assert found.passed and set(verdicts) >= {"csv", "npz", "ticks", "nc", "grbl", "klipper"}
     for one in found.targets:
         if one.verdict != "skipped" and one.unit == "m":
@@ -149,7 +149,7 @@ def test_foreign_files_are_refused_in_one_line(
     """Exit status 2 for another job, another format, no file, another kind; 1 if it differs."""
     csv = compiled(job, "csv", tmp_path)
     other = examples / "x-180.prg"
-    for files, words, said in [
+    for files, words, message in [
         ([f"csv={csv}"], [], "written for another job"),
         ([f"npz={csv}"], [], "no table of target npz"),
         ([f"csv={other}"], [], "first line is not"),
@@ -162,7 +162,7 @@ def test_foreign_files_are_refused_in_one_line(
         typed = [part for file in files for part in ("--file", file)]
         assert status(["equal", str(other), "-m", MACHINE, *typed, *words]) == 2
         error = [line for line in capsys.readouterr().err.splitlines() if line.startswith("error:")]
-        assert len(error) == 1 and said in error[0]
+        assert len(error) == 1 and message in error[0]
     with pytest.raises(InputError, match="no target was compared: t15: no reader here"):
         tl.equal(examples / "rosette.dst", "table-embroiderer", ["t15"])
 

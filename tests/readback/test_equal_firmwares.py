@@ -195,14 +195,14 @@ def test_steps_beside_a_motion(job: Path) -> None:
         level = np.floor(places + 0.5)
         at = np.flatnonzero(np.diff(level))
         steps[axis] = Steps(fine_s[at + 1], np.diff(level)[at].astype(np.int64))
-    told = beside(steps, trajectory, counts, start, radius)
-    assert told.off < 0.5 and abs(told.late_s) < 1e-4 and told.path_m < 40e-6
+    difference = beside(steps, trajectory, counts, start, radius)
+    assert difference.off < 0.5 and abs(difference.late_s) < 1e-4 and difference.path_m < 40e-6
     x = steps["X"]
     late = Steps(x.time_s + np.where(x.time_s > 3.0, 0.02, 0.0), x.sense)
-    told = beside({**steps, "X": late}, trajectory, counts, start, radius)
-    assert told.axis == "X" and told.off > 20.0
+    difference = beside({**steps, "X": late}, trajectory, counts, start, radius)
+    assert difference.axis == "X" and difference.off > 20.0
     begin = Steps(np.concatenate([[0.0] * 3, x.time_s]), np.concatenate([[1] * 3, x.sense]))
-    told = beside({**steps, "X": begin}, trajectory, counts, start, radius)
-    assert told.axis == "X" and 2.9 < told.off < 3.1
+    difference = beside({**steps, "X": begin}, trajectory, counts, start, radius)
+    assert difference.axis == "X" and 2.9 < difference.off < 3.1
     del steps["A"]
     assert beside(steps, trajectory, counts, start, radius).axis == "A"

@@ -61,7 +61,7 @@ def test_a_full_disk_is_told_by_the_folder_that_may_be_changed(
 
 
 @pytest.mark.parametrize(
-    ("target", "pattern", "to", "said"),
+    ("target", "pattern", "to", "message"),
     [
         ("ticks", r"\n1,0,", "\n1000000000000,0,", "far more than the plan"),
         ("ticks", r"\n1,0,", "\n-5,0,", "-5 ticks"),
@@ -78,13 +78,13 @@ def test_a_full_disk_is_told_by_the_folder_that_may_be_changed(
     ],
 )
 def test_a_hostile_text_table_is_refused(
-    folder: Path, tmp_path: Path, target: str, pattern: str, to: str, said: str
+    folder: Path, tmp_path: Path, target: str, pattern: str, to: str, message: str
 ) -> None:
     text = (folder / f"a.{target}").read_text()
     changed = re.sub(pattern, to, text, count=1)
     assert changed != text
     (tmp_path / f"a.{target}").write_text(changed)
-    with pytest.raises(InputError, match=re.escape(said)) as refused:
+    with pytest.raises(InputError, match=re.escape(message)) as refused:
         beside(folder, target, tmp_path / f"a.{target}")
     assert f"no table of target {target}" in str(refused.value)
 
@@ -137,8 +137,8 @@ def test_an_archive_of_other_numbers_is_refused(folder: Path, tmp_path: Path) ->
     nan[20, 0], part[20, 0] = np.nan, part[20, 0] + 0.4
     wraps = counts.copy()
     wraps[20, 0] = -(2**63)
-    for values, said in [(nan, "float64"), (part, "float64"), (wraps, "beyond")]:
-        with pytest.raises(InputError, match=said):
+    for values, message in [(nan, "float64"), (part, "float64"), (wraps, "beyond")]:
+        with pytest.raises(InputError, match=message):
             beside(folder, "npz", archive(folder, tmp_path / "a.npz", counts=array(values)))
 
 
@@ -201,7 +201,7 @@ def test_a_blank_that_no_controller_knows_is_found(folder: Path, tmp_path: Path)
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
+    ("change", "message"),
     [
         (lambda meta: meta.update(timer_s="1e99999999"), "no time"),
         (lambda meta: meta.update(timer_s="abc"), "no time"),
@@ -213,13 +213,13 @@ def test_a_blank_that_no_controller_knows_is_found(folder: Path, tmp_path: Path)
     ],
 )  # fmt: skip
 def test_a_hostile_manifest_is_refused(
-    folder: Path, tmp_path: Path, change: Change, said: str
+    folder: Path, tmp_path: Path, change: Change, message: str
 ) -> None:
     manifest = _copied(folder, tmp_path)
     meta = json.loads(manifest.read_text())
     change(meta)
     manifest.write_text(json.dumps(meta))
-    with pytest.raises(InputError, match=said) as refused:
+    with pytest.raises(InputError, match=message) as refused:
         tl.equal(DESIGN, FRAME, files=[f"steps={manifest}"])
     assert "no set of step tables" in str(refused.value)
 
@@ -252,7 +252,7 @@ NESTED = (
 
 
 @pytest.mark.parametrize(
-    ("body", "said"),
+    ("body", "message"),
     [
         (NESTED, "its loop never ends"),
         ("i := i + 3; i := i * i;", "larger than any number"),
@@ -260,14 +260,14 @@ NESTED = (
         ("i := 1000000000000 * 1000000000000;", "larger than any number"),
     ],
 )
-def test_a_body_that_grows_without_end_ends(body: str, said: str) -> None:
+def test_a_body_that_grows_without_end_ends(body: str, message: str) -> None:
     controller = Controller(list(read_units(DECLARED.format(body))))
 
     def run() -> None:
         for scan in range(60):
             controller.scan({}, scan)
 
-    with pytest.raises(ScanError, match=said):
+    with pytest.raises(ScanError, match=message):
         run()
 
 

@@ -99,16 +99,16 @@ def texts_of(pdf: Path) -> list[str]:
 
 def same(criterion: dict[str, Any], what: str, shown: str) -> bool:
     """Return whether a printed figure is that of the JSON: its four digits, or less than 1e-9."""
-    wanted = criterion[what]
+    expected = criterion[what]
     if shown in ("-", "never"):  # JSON has no infinity
-        return wanted is None
-    if wanted is None:
+        return expected is None
+    if expected is None:
         return False
     percent = shown.endswith("%")
     value = float(shown[:-1]) / 100.0 if percent else parse_quantity(shown, criterion["unit"])
-    if criterion["name"] == "travel" and what == "measured" and wanted < 0.0:
+    if criterion["name"] == "travel" and what == "measured" and expected < 0.0:
         return value == 0.0  # the rest of it stands in the note
-    return value == pytest.approx(wanted, rel=5e-3 if percent else 5e-4, abs=1e-9)
+    return value == pytest.approx(expected, rel=5e-3 if percent else 5e-4, abs=1e-9)
 
 
 @pytest.mark.long(only="placer")
@@ -151,9 +151,9 @@ def test_json_terminal_screen_and_paper_tell_the_same(
         assert any(" ".join(words) in text for text in paper)
 
     worst = {c["run"] for c in answer["criteria"] if c["name"] == "contour_error"} - {None}
-    wanted = {(str(run), str(answer["runs"])) for run in worst}
-    assert set(re.findall(r"Drawn is run (\d+) of (\d+), in which contour_error", page)) == wanted
-    assert bool(wanted) == (answer["runs"] > 1)
+    expected = {(str(run), str(answer["runs"])) for run in worst}
+    assert set(re.findall(r"Drawn is run (\d+) of (\d+), in which contour_error", page)) == expected
+    assert bool(expected) == (answer["runs"] > 1)
     word = "IN SPEC" if answer["passed"] else "OUT OF SPEC"
     level = f"{answer['level']}: {answer['runs']} run"
     (verdict,) = re.findall(r'<span class="verdict (?:passed|failed)">(.*?)</span>', page)

@@ -115,7 +115,7 @@ def test_unwritable_animation_is_refused_before_the_job_is_read(
     """Before the job is read: the job's file does not even exist."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(FFMpegWriter, "isAvailable", classmethod(lambda _: False))
-    for name, said in (("a.mp4", "there is no ffmpeg here"), ("a.avi", "is no animation")):
+    for name, message in (("a.mp4", "there is no ffmpeg here"), ("a.avi", "is no animation")):
         status, _, err = run(capsys, "animate", "none.prg", "-m", "lathe-winder", "-o", name)
-        assert status == 2 and said in err
+        assert status == 2 and message in err
     assert list(tmp_path.iterdir()) == []

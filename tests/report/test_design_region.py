@@ -22,14 +22,14 @@ def candidate(belt: float, load: float) -> Candidate:
 
 
 @pytest.mark.parametrize(
-    ("span", "wanted"),
+    ("span", "expected"),
     [
         ((1.0, 100.0), [1.0, 3.0, 10.0, 30.0, 100.0]),
         ((0.9, 1.3), [0.9, 1.0, 1.1, 1.2, 1.3]),
     ],
 )
 def test_marks_stand_clear_and_axes_have_figures(
-    span: tuple[float, float], wanted: list[float]
+    span: tuple[float, float], expected: list[float]
 ) -> None:
     """The design stands where the machine does, in the corner: a star in a ring, off the title."""
     factors = (np.geomspace(*span, 9), np.geomspace(0.5, 1.0, 9))
@@ -60,7 +60,7 @@ def test_marks_stand_clear_and_axes_have_figures(
     half = ring.get_markersize() / 2 * figure.dpi / 72
     box = panel.get_window_extent()
     assert box.x0 < x - half and y + half < box.y1
-    assert panel.get_xticks().tolist() == pytest.approx(wanted)
+    assert panel.get_xticks().tolist() == pytest.approx(expected)
     assert panel.get_yticks().tolist() == pytest.approx([0.5, 0.6, 0.7, 0.8, 0.9, 1.0])
-    said = [text.get_text() for text in figure.legends[0].get_texts()]
-    assert "in spec; lines: worst of its limit" in said
+    messages = [text.get_text() for text in figure.legends[0].get_texts()]
+    assert "in spec; lines: worst of its limit" in messages

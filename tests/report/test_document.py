@@ -55,10 +55,10 @@ def test_figures_on_one_page_keep_their_own_identifiers_and_text_is_text(tmp_pat
         )
         page = write_document(document, tmp_path / "report", "r").read_text(encoding="utf-8")
     names = re.findall(r'\bid="([^"]+)"', page)
-    wanted = re.findall(r'(?:href="|url\()#([^")]+)', page)
+    expected = re.findall(r'(?:href="|url\()#([^")]+)', page)
     assert len(names) == len(set(names)) > 10
-    assert len(wanted) > 4
-    assert set(wanted) <= set(names)
+    assert len(expected) > 4
+    assert set(expected) <= set(names)
     assert "a &lt;b&gt; &amp; c" in page
     assert "mind the &lt;gap&gt;" in page
 
@@ -93,8 +93,8 @@ def test_a_picture_that_leaves_its_page_says_what_it_is_of(tmp_path) -> None:
     assert inner is not None
     assert float(inner[4]) / float(inner[3]) == pytest.approx(height / width, rel=1e-6)
     assert inner[1] == inner[4] and float(inner[2]) == pytest.approx(72 * 0.4)
-    alone = (tmp_path / "r-one.svg").read_text()
-    assert 'id="head"' in alone and "IN SPEC" in alone
+    single = (tmp_path / "r-one.svg").read_text()
+    assert 'id="head"' in single and "IN SPEC" in single
     in_page = page[page.index("<svg") : page.index("</svg>")]
     assert "head" not in in_page and "IN SPEC" not in in_page
     # No letter of the figure was defined in the lines above it, which the page does not have.
@@ -194,7 +194,7 @@ def test_the_speeds_over_tolerances_are_a_line_for_each_mass() -> None:
 def test_a_gap_beneath_the_fastest_is_drawn_and_told(capsys: pytest.CaptureFixture[str]) -> None:
     """The end of each slower range is hollow; all ranges in spec stand beside the fastest."""
     ends = ((67.93, 70.58), (20.0, 57.63), (12.0, 12.0))
-    ranges = tuple(Interval(low=low, high=high, alone=low == high) for low, high in ends)
+    ranges = tuple(Interval(low=low, high=high, isolated=low == high) for low, high in ends)
     cells = [replace(cell(0.0, 1.0, 70.58, "x"), intervals=ranges), cell(0.0, 0.0, 73.0, "x")]
     (panel,) = draw_mismatch(cells, "a title", NEEDLE).axes
     (hollow,) = (
@@ -298,8 +298,8 @@ def test_a_comparison_lists_every_case_it_was_made_from(tmp_path) -> None:
 
 def test_a_case_of_limits_alone_is_told_without_runs() -> None:
     kept = Verdict(results=(), simulated=True, limits_alone=True)
-    said = closing_of_all([kept, kept])
-    assert said.endswith("placement is not proven, the machine file has no dynamics)")
+    message = closing_of_all([kept, kept])
+    assert message.endswith("placement is not proven, the machine file has no dynamics)")
 
 
 def test_every_line_of_the_bode_plot_is_named_and_the_locus_is_free() -> None:

@@ -182,10 +182,10 @@ def test_contents_of_a_figure_are_copied_without_parsing(tmp_path: Path) -> None
     assert sum(len(contents_of(page)) for page in pages) < 20_000
     drawn = [form.get_data() for page in pages
              for form in page["/Resources"].get("/XObject", {}).values()]  # fmt: skip
-    (alone,) = drawn
+    (single,) = drawn
     contents = PdfReader(io.BytesIO(figure_page(figure))).pages[0].get_contents()
     assert contents is not None
-    assert len(alone) > 200_000 and alone == contents.get_data()
+    assert len(single) > 200_000 and single == contents.get_data()
     # The page's own words end with their last colour and place, not with the figure's.
     (page,) = [page for page in pages if b"/Figure0 Do" in contents_of(page)]
     assert re.search(rb"^q\s.*\sQ q [\d. ]+ cm /Figure0 Do Q\s*$", contents_of(page), re.DOTALL)
@@ -207,13 +207,13 @@ def test_a_wide_table_is_cut_into_tables_that_begin_with_its_first_column(tmp_pa
     rows = [[f"step{r}", *(f"{r}.{n:03d} mm" for n in range(30))] for r in range(3)]
     pages = written(document([Table(title="Steps", header=header, rows=rows)]), tmp_path / "r.pdf")
     words = [word for page in pages for word in words_at(page)]
-    said = [text for text, _, _ in words]
+    messages = [text for text, _, _ in words]
     for r in range(3):
         for n in range(30):
-            assert sum(text == f"{r}.{n:03d} mm" for text in said) == 1
+            assert sum(text == f"{r}.{n:03d} mm" for text in messages) == 1
     for n in range(30):
-        assert f"residual_vibration_{n}" in said
-    assert said.count("step1") == said.count("step2") >= 5
+        assert f"residual_vibration_{n}" in messages
+    assert messages.count("step1") == messages.count("step2") >= 5
     assert all(30.0 < x < A4_PT[0] - 30.0 for _, x, _ in words)
 
 
@@ -223,9 +223,9 @@ def test_a_long_note_is_wrapped_and_not_cut(tmp_path: Path) -> None:
     header = ("criterion", "axis", "measured", "limit", "status", "at", "line", "note")
     table = Table(title="Criteria", header=header, rows=[row])
     pages = written(document([table]), tmp_path / "r.pdf")
-    said = " ".join(page.extract_text() for page in pages).split()
-    assert {f"word{n}" for n in range(300)} <= set(said)
-    assert {"contour_error", "51.895"} <= set(said)
+    message = " ".join(page.extract_text() for page in pages).split()
+    assert {f"word{n}" for n in range(300)} <= set(message)
+    assert {"contour_error", "51.895"} <= set(message)
 
 
 def test_columns_are_as_wide_as_their_words() -> None:

@@ -161,11 +161,11 @@ def test_the_run_with_the_worst_place_is_drawn(examples: Path) -> None:
     plan = plan_job(read_job(examples / "x-180.prg", machine), machine, options)
     spec = load_spec(None, machine)
     proof = prove_plan(plan, spec, None, Trials(repeats=6))
-    alone = [judge([proof.run(k)], plan, spec).result("contour_error") for k in range(1, 7)]
+    one_by_one = [judge([proof.run(k)], plan, spec).result("contour_error") for k in range(1, 7)]
     worst = proof.verdict.result("contour_error")
-    errors_m = [result.measured for result in alone]
+    errors_m = [result.measured for result in one_by_one]
     assert worst.run == int(np.argmax(errors_m)) + 1 != 1
-    assert (worst.measured, worst.time_s) == (max(errors_m), alone[worst.run - 1].time_s)
+    assert (worst.measured, worst.time_s) == (max(errors_m), one_by_one[worst.run - 1].time_s)
     traces = collect(proof)
     assert traces.run.number == worst.run
     assert traces.run.words(proof) == (

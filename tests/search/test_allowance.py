@@ -41,9 +41,11 @@ def found() -> FastestJob:
 def test_few_proofs_find_where_more_would_fail(found: FastestJob) -> None:
     """Passing and failing allowance are within 3 %, and the default of 0.3 mm is not the answer."""
     best = found.best
-    failed = [r.contour_m for r in found.rungs if r.duration_s is None and r.contour_m is not None]
+    failed = [
+        r.contour_m for r in found.candidates if r.duration_s is None and r.contour_m is not None
+    ]
 
-    assert len(found.rungs) <= 8
+    assert len(found.candidates) <= 8
     assert best.contour_m is not None
     assert best.contour_m > 3e-4
     assert min(failed) <= 1.031 * best.contour_m
@@ -122,7 +124,7 @@ def test_a_plan_whose_neighbour_fails_is_not_the_answer(
         Question(job=job, machine=machine, spec=load_spec(None, machine), options=OPTIMAL)
     )
 
-    assert [r.contour_m for r in result.rungs if r.alone] == [0.41e-3]
+    assert [r.contour_m for r in result.candidates if r.isolated] == [0.41e-3]
     assert result.best.contour_m == 0.3e-3
     assert tried[-2:] == [pytest.approx(0.40795e-3), pytest.approx(0.2985e-3)]
     assert all(allowed == float(f"{allowed:.5g}") for allowed in tried)
@@ -136,7 +138,7 @@ def test_an_allowance_that_is_given_is_the_only_one_that_is_proved(examples: Pat
         Question(job=job, machine=machine, spec=load_spec(None, machine), options=given)
     )
 
-    assert [rung.contour_m for rung in result.rungs] == [2e-4]
+    assert [candidate.contour_m for candidate in result.candidates] == [2e-4]
     assert result.best.found.limited_by == ALLOWED
 
 
@@ -158,4 +160,8 @@ def test_loads_that_follow_use_a_share_of_the_limits(examples: Path) -> None:
 
     assert result.best.duration_s is not None
     assert result.best.duration_s < 8.5
-    assert all(rung.share > result.best.share for rung in result.rungs if rung.duration_s is None)
+    assert all(
+        candidate.share > result.best.share
+        for candidate in result.candidates
+        if candidate.duration_s is None
+    )

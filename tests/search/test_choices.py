@@ -20,7 +20,7 @@ from threadline.proof.options import Options, describe, options_from, options_of
 from threadline.proof.pipeline import NOMINAL, open_job
 from threadline.proof.request import Words
 from threadline.search import by_pace, chosen_plans
-from threadline.search.allowance import FastestJob, Rung
+from threadline.search.allowance import Candidate, FastestJob
 from threadline.search.by_pace import answered, optimal_words
 from threadline.search.choices import (
     CHOSEN,
@@ -186,8 +186,8 @@ def test_a_few_plans_are_faster_than_any_with_the_options_by_default() -> None:
     assert found.duration_s < 0.75
     assert found.again is not None
     assert found.again["feed_forward"] is True
-    assert {rung.options.tolerance_m for rung in found.of.rungs} == {1e-4}
-    durations = [rung.duration_s for rung in found.of.rungs if rung.duration_s]
+    assert {candidate.options.tolerance_m for candidate in found.of.candidates} == {1e-4}
+    durations = [candidate.duration_s for candidate in found.of.candidates if candidate.duration_s]
     assert durations == sorted(durations, reverse=True)
     assert found.plan().duration_s == found.duration_s
 
@@ -209,7 +209,9 @@ def test_a_share_of_the_limits_is_tried_where_no_plan_of_them_all_passes() -> No
     assert len(shares) > 4
     assert found.duration_s is not None and found.again is not None
     assert found.again["feed_forward"] is True
-    passed = {rung.share for rung in found.of.rungs if rung.duration_s is not None}
+    passed = {
+        candidate.share for candidate in found.of.candidates if candidate.duration_s is not None
+    }
     assert 0.5 < max(passed) <= 8.0 / 10.5
 
 
@@ -232,7 +234,7 @@ def test_share_of_the_limits_is_searched_if_no_plan_at_full_limits_passes(
     found = answered(
         question_of(Words.of("fastest", Door.PYTHON, words), EXAMPLES / "x-180.prg", "lathe-winder")
     )
-    shares = [rung.share for rung in found.of.rungs]
+    shares = [candidate.share for candidate in found.of.candidates]
     assert found.duration_s is not None
     assert found.again is not None
     assert shares[0] == 1.0
@@ -250,9 +252,9 @@ def test_a_search_without_a_plan_in_spec_names_what_the_nearest_fails(
 ) -> None:
     verdict = missed(None, 3.0)
     found = Fastest(intervals=(), limited_by="contour_error", verdict=verdict, tried=1)
-    nearest = Rung(share=1.0, found=found, duration_s=None)
+    nearest = Candidate(share=1.0, found=found, duration_s=None)
     monkeypatch.setattr(
-        by_pace, "fastest_job", lambda _: FastestJob(best=nearest, rungs=(nearest, nearest))
+        by_pace, "fastest_job", lambda _: FastestJob(best=nearest, candidates=(nearest, nearest))
     )
     given = Words.of("fastest", Door.PYTHON, {"interpolation": "optimal"})
     answer = answered(question_of(given, EXAMPLES / "x-180.prg", "lathe-winder"))
@@ -282,4 +284,4 @@ def test_a_search_ends_in_a_reasonable_time_and_says_what_it_left(
 
     whole = answered(replace(asked, until=Deadline.within(600.0)))
     assert whole.of.left == 0
-    assert len(whole.of.rungs) > len(found.of.rungs)
+    assert len(whole.of.candidates) > len(found.of.candidates)

@@ -32,7 +32,7 @@ from threadline.search.yield_state import YieldState
 from threadline.verdict import load_spec
 
 TURN = "G91\nG1 X5 F1000\nG1 X-5\nM30\n"
-Said = Callable[..., tuple[int, str, str]]
+RunCommand = Callable[..., tuple[int, str, str]]
 
 
 @pytest.fixture(scope="module")
@@ -66,15 +66,15 @@ def fleets(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callable[[int],
 
 
 @pytest.fixture
-def said(capsys: pytest.CaptureFixture[str]) -> Said:
+def run_command(capsys: pytest.CaptureFixture[str]) -> RunCommand:
     """Run ``threadline``; return exit status, answer, and errors without the progress."""
 
     def run(*words: object) -> tuple[int, str, str]:
         with pytest.raises(SystemExit) as ended:
             main([*map(str, words)])
-        told = capsys.readouterr()
-        err = [line for line in told.err.splitlines(keepends=True) if line.startswith("error")]
-        return int(ended.value.code or 0), told.out, "".join(err)
+        captured = capsys.readouterr()
+        err = [line for line in captured.err.splitlines(keepends=True) if line.startswith("error")]
+        return int(ended.value.code or 0), captured.out, "".join(err)
 
     return run
 
@@ -114,17 +114,17 @@ def submitted(monkeypatch: pytest.MonkeyPatch) -> list[tuple[Any, ...]]:
 
 @pytest.mark.parametrize(("machine", "variants"), [("lathe-winder", 70), ("stepper-winder", 5)])
 def test_an_answer_is_that_of_one_computer_to_the_bit(
-    machine: str, variants: int, said: Said, job: Path, fleet: Fleet
+    machine: str, variants: int, run_command: RunCommand, job: Path, fleet: Fleet
 ) -> None:
     """Side by side and one by one: count, interval, worst machine, and the file of a part."""
     words = ["yield", job, "-m", machine, "--variants", variants, "--seed", 5, "--json"]
     words += ["--interpolation", "linear"]
-    here = said(*words)
+    here = run_command(*words)
     assert json.loads(here[1])["variants"] == variants
-    assert said(*words, "--cluster", fleet.address) == here
+    assert run_command(*words, "--cluster", fleet.address) == here
     part = [*words, "--part", "2/2", "-o"]
-    said(*part, "here.yield")
-    said(*part, "there.yield", "--cluster", fleet.address)
+    run_command(*part, "here.yield")
+    run_command(*part, "there.yield", "--cluster", fleet.address)
     assert Path("here.yield").read_bytes() == Path("there.yield").read_bytes()
 
 
@@ -176,28 +176,28 @@ def test_a_worker_that_ends_in_the_middle_changes_nothing(
     own, fleet = judged(job), fleets(2)
     here = bits(own, 60)
     with of_cluster.on_cluster(fleet.address, print):
-        told: list[float] = []
+        fractions: list[float] = []
 
         def done(count: float) -> None:
-            told.append(count)
-            if len(told) == 2:
+            fractions.append(count)
+            if len(fractions) == 2:
                 fleet.workers[0].send_signal(how)
 
         found = own.drawn(60, 5, done, at_once=4)
     assert [row.values.tobytes() for row in found.found.rows] == here
-    assert sum(told) == 60 and fleet.workers[0].wait(120) is not None
+    assert sum(fractions) == 60 and fleet.workers[0].wait(120) is not None
 
 
 @pytest.mark.long(shown_by="test_machines_that_end_every_worker_are_not_tried_for_ever")
 @pytest.mark.parametrize("which", ["scheduler", "workers"])
 def test_judged_machines_are_kept_when_the_cluster_dies(
-    which: str, job: Path, said: Said, fleets: Callable[[int], Fleet],
+    which: str, job: Path, run_command: RunCommand, fleets: Callable[[int], Fleet],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:  # fmt: skip
     """Exit status 3 and one line; the same command without the cluster goes on to the same bits."""
     words = ["yield", job, "-m", "lathe-winder", "--variants", 60, "--interpolation", "linear"]
     words += ["--seed", 5, "--json"]
-    here, fleet = said(*words), fleets(1)
+    here, fleet = run_command(*words), fleets(1)
     add, batches = YieldState.add, list[int]()
 
     def kill(self: YieldState, found: object) -> None:
@@ -211,14 +211,14 @@ def test_judged_machines_are_kept_when_the_cluster_dies(
             monkeypatch.setattr(of_cluster, "CONNECT_S", 1.0)
 
     monkeypatch.setattr(YieldState, "add", kill)
-    code, out, err = said(*words, "--resume", "kept", "--cluster", fleet.address)
+    code, out, err = run_command(*words, "--resume", "kept", "--cluster", fleet.address)
     assert (code, out, err.count("\n")) == (3, "", 1), err
     assert fleet.address in err and "--resume" in err
     assert ("went away" if which == "scheduler" else "no worker for 1 s") in err
     lines = Path("kept").read_bytes().count(b"\n")
     assert lines >= 3  # the first line of the file, and two batches
     monkeypatch.setattr(YieldState, "add", add)
-    assert said(*words, "--resume", "kept") == here
+    assert run_command(*words, "--resume", "kept") == here
 
 
 @pytest.mark.long(shown_by="test_machines_that_end_every_worker_are_not_tried_for_ever")
@@ -227,17 +227,17 @@ def test_a_scheduler_that_comes_back_gets_what_it_lost(
 ) -> None:
     monkeypatch.setattr(of_cluster, "CONNECT_S", 60.0)
     own, fleet = judged(job), fleets(1)
-    here, told = bits(own, 60), []
+    here, fractions = bits(own, 60), []
 
     def done(count: float) -> None:
-        told.append(count)
-        if len(told) == 2:
+        fractions.append(count)
+        if len(fractions) == 2:
             fleet.begin_again()
 
     with of_cluster.on_cluster(fleet.address, print):
         found = own.drawn(60, 5, done, at_once=4)
     assert [row.values.tobytes() for row in found.found.rows] == here
-    assert sum(told) == 60
+    assert sum(fractions) == 60
 
 
 def test_loggers_of_distributed_are_silent(fleet: Fleet) -> None:
@@ -261,23 +261,25 @@ def test_machines_that_end_every_worker_are_not_tried_for_ever(
 
 
 @pytest.mark.parametrize(
-    ("name", "told"), [("Threadline", "0.0.0, source 0"), ("numpy", "1.0"), ("numba", "none")]
+    ("name", "version"), [("Threadline", "0.0.0, source 0"), ("numpy", "1.0"), ("numba", "none")]
 )
 @pytest.mark.parametrize("late", [False, True])
 def test_a_worker_of_another_version_is_refused_by_name(
-    late: bool, name: str, told: str, job: Path, said: Said, fleet: Fleet,
+    late: bool, name: str, version: str, job: Path, run_command: RunCommand, fleet: Fleet,
     submitted: list[tuple[Any, ...]], monkeypatch: pytest.MonkeyPatch,
 ) -> None:  # fmt: skip
     """This holds at the beginning, before anything is sent, and for a worker that joins later."""
     own = of_cluster.versions()
     # Workers take the function by its name, which is the name of the real function.
-    monkeypatch.setattr(of_cluster, "versions", lambda: {**own, name: told})
+    monkeypatch.setattr(of_cluster, "versions", lambda: {**own, name: version})
     if late:  # when the workers are asked, there is none
         monkeypatch.setattr(distributed.Client, "run", lambda *_, **__: {})
     words = ["yield", job, "-m", "lathe-winder", "--variants", 9, "--interpolation", "linear"]
-    code, out, err = said(*words, "--cluster", fleet.address)
+    code, out, err = run_command(*words, "--cluster", fleet.address)
     assert (code, out, err.count("\n")) == (2, "", 1), err
-    assert re.search(rf"worker tcp://127\.0\.0\.1:\d+ of .* has {name} .* instead of {told}", err)
+    assert re.search(
+        rf"worker tcp://127\.0\.0\.1:\d+ of .* has {name} .* instead of {version}", err
+    )
     assert "requirements/cluster.txt" in err
     assert bool(submitted) is late
 
@@ -301,10 +303,12 @@ def test_a_worker_that_rounds_otherwise_is_refused(
         "tcp://0.0.0.0:8786", "127.0.0.1.lab:8786", "localhost.lab:8786", "tls://:8786",
     ],
 )  # fmt: skip
-def test_an_address_without_tls_is_of_this_computer(text: str, said: Said, job: Path) -> None:
+def test_an_address_without_tls_is_of_this_computer(
+    text: str, run_command: RunCommand, job: Path
+) -> None:
     with pytest.raises(OptionError):
         parse_cluster(text)
-    code, out, err = said("yield", job, "-m", "lathe-winder", f"--cluster={text}")
+    code, out, err = run_command("yield", job, "-m", "lathe-winder", f"--cluster={text}")
     assert (code, out, err.count("\n")) == (2, "", 1) and "--cluster" in err
 
 
@@ -315,44 +319,49 @@ def test_an_address_of_this_computer_is_taken() -> None:
 
 
 def test_a_scheduler_that_is_not_there_is_one_line(
-    said: Said, job: Path, monkeypatch: pytest.MonkeyPatch
+    run_command: RunCommand, job: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(of_cluster, "CONNECT_S", 0.5)
-    code, out, err = said("yield", job, "-m", "lathe-winder", "--cluster", "localhost:9")
+    code, out, err = run_command("yield", job, "-m", "lathe-winder", "--cluster", "localhost:9")
     assert (code, out, err.count("\n")) == (3, "", 1)
     assert "tcp://localhost:9 cannot be reached" in err and "dask scheduler" in err
 
 
 def test_a_scheduler_without_workers_is_one_line(
-    job: Path, said: Said, fleets: Callable[[int], Fleet], monkeypatch: pytest.MonkeyPatch
+    job: Path,
+    run_command: RunCommand,
+    fleets: Callable[[int], Fleet],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """A batch system may start the first worker late; from then on there is always one."""
     monkeypatch.setattr(of_cluster, "FIRST_S", 1.0)
     address = fleets(0).address
-    code, out, err = said("yield", job, "-m", "lathe-winder", "--cluster", address)
+    code, out, err = run_command("yield", job, "-m", "lathe-winder", "--cluster", address)
     assert (code, out, err.count("\n")) == (3, "", 1)
     assert f"{address} has had no worker for 1 s" in err and "dask worker" in err
 
 
 def test_without_the_package_the_extra_is_named(
-    said: Said, job: Path, monkeypatch: pytest.MonkeyPatch
+    run_command: RunCommand, job: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "distributed", None)
-    code, _, err = said("yield", job, "-m", "lathe-winder", "--cluster", "localhost:9")
+    code, _, err = run_command("yield", job, "-m", "lathe-winder", "--cluster", "localhost:9")
     assert (code, err.count("\n")) == (2, 1) and 'pip install "threadline[cluster]"' in err
 
 
 def test_tls_without_certificates_is_refused(
-    said: Said, job: Path, monkeypatch: pytest.MonkeyPatch
+    run_command: RunCommand, job: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for name in [one for one in os.environ if one.startswith("DASK_")]:
         monkeypatch.delenv(name)
-    code, _, err = said("yield", job, "-m", "lathe-winder", "--cluster", "tls://localhost:9")
+    code, _, err = run_command("yield", job, "-m", "lathe-winder", "--cluster", "tls://localhost:9")
     assert (code, err.count("\n")) == (2, 1) and "DASK_DISTRIBUTED__COMM__TLS__CA_FILE" in err
 
 
 @pytest.mark.long(shown_by="test_an_answer_is_that_of_one_computer_to_the_bit")
-def test_a_cluster_by_tls_gives_the_same(job: Path, said: Said, tmp_path: Path) -> None:
+def test_a_cluster_by_tls_gives_the_same(
+    job: Path, run_command: RunCommand, tmp_path: Path
+) -> None:
     """The commands are the ones in docs/cluster.md."""
     openssl = shutil.which("openssl")
     if openssl is None:
@@ -377,7 +386,7 @@ def test_a_cluster_by_tls_gives_the_same(job: Path, said: Said, tmp_path: Path) 
         asked = [sys.executable, "-c", code, *map(str, words), "--cluster", fleet.address]
         env = {**os.environ, **tls}
         there = subprocess.run(asked, env=env, capture_output=True, text=True, check=False)
-        assert (there.returncode, there.stdout) == said(*words)[:2], there.stderr
+        assert (there.returncode, there.stdout) == run_command(*words)[:2], there.stderr
         # A scheduler with TLS accepts nobody without its certificate.
         plain = fleet.address.replace("tls://", "tcp://")
         asked[-1] = plain

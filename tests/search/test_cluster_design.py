@@ -98,13 +98,13 @@ def test_python_has_the_cluster_too(
         return real(self, work, items, done)  # type: ignore[arg-type]
 
     monkeypatch.setattr(Cluster, "answers", counted)
-    alone = tl.fastest(job, "lathe-winder", **words)
+    single = tl.fastest(job, "lathe-winder", **words)
     assert not sent
     shared = tl.fastest(job, "lathe-winder", cluster=fleet.address, **words)
-    assert alone.best is not None and sent
-    assert (shared.best, shared.limited_by) == (alone.best, alone.limited_by)
+    assert single.best is not None and sent
+    assert (shared.best, shared.limited_by) == (single.best, single.limited_by)
     assert [r.measured for r in shared.of.best.found.verdict.results] == [
-        r.measured for r in alone.of.best.found.verdict.results
+        r.measured for r in single.of.best.found.verdict.results
     ]
 
 
@@ -176,8 +176,11 @@ def test_a_cluster_that_would_judge_nothing_is_refused_before_it_is_asked(tmp_pa
     job = tmp_path / "turn.prg"
     job.write_text("G91\nG1 X5 F1000\nM30\n")
     for ask in (tl.prove, tl.compare, tl.fastest, tl.learn):
-        for words, told in ({}, "this level has none"), ({"yield_": "90 %"}, "machines of yield_="):
-            with pytest.raises(OptionError, match=rf"{told}.*leave cluster= out"):
+        for words, message in (
+            ({}, "this level has none"),
+            ({"yield_": "90 %"}, "machines of yield_="),
+        ):
+            with pytest.raises(OptionError, match=rf"{message}.*leave cluster= out"):
                 ask(job, "lathe-winder", cluster="localhost:9", **words)  # type: ignore[operator]
 
 

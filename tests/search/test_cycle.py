@@ -48,11 +48,11 @@ def best(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict[str, Any], Path
     from io import StringIO
 
     file = tmp_path_factory.mktemp("cycle") / "best.toml"
-    said = StringIO()
-    with redirect_stdout(said), pytest.raises(SystemExit) as ended:
+    stream = StringIO()
+    with redirect_stdout(stream), pytest.raises(SystemExit) as ended:
         main(["fastest", str(CYCLE), "-m", PLACER, "-o", str(file), "--json"])
     assert ended.value.code == 0
-    return json.loads(said.getvalue()), file
+    return json.loads(stream.getvalue()), file
 
 
 def test_the_fastest_is_in_spec_and_shorter_than_every_shaper(
@@ -198,7 +198,7 @@ def test_a_move_list_reads_back_as_itself(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("line", "said"),
+    ("line", "message"),
     [
         ('levels = "1 for 490 ms"', "by 208.51 mm, and its move is 200.00 mm"),
         ('levels = "1 for 475 ms"', "475 ms is no whole number of scans of 10 ms"),
@@ -209,7 +209,7 @@ def test_a_move_list_reads_back_as_itself(tmp_path: Path) -> None:
     ],
 )
 def test_levels_that_no_valve_makes_are_refused_with_their_line(
-    line: str, said: str, tmp_path: Path
+    line: str, message: str, tmp_path: Path
 ) -> None:
     file = tmp_path / "a.toml"
     file.write_text(
@@ -219,7 +219,7 @@ def test_levels_that_no_valve_makes_are_refused_with_their_line(
     machine = load_machine(PLACER)
     with pytest.raises(PlanError) as refused:
         plan_job(read_job(file, machine), machine, Options())
-    assert said in str(refused.value)
+    assert message in str(refused.value)
     assert "a.toml:4" in str(refused.value)
 
 

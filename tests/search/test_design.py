@@ -24,7 +24,7 @@ from threadline.machine.tables import Design, DesignParameter, DesignSettings
 from threadline.proof import pipeline
 from threadline.proof.options import Options
 from threadline.proof.pipeline import REPEATED, check_loops, plan_job, prove_plan
-from threadline.search.design import DesignResult, Wanted, design
+from threadline.search.design import DesignResult, Requirements, design
 from threadline.search.design_evaluate import Effort, Evaluator, Tried, design_gains
 from threadline.search.design_judge import OtherRuns, design_judge
 from threadline.search.design_proof import with_delay
@@ -96,22 +96,22 @@ def corner(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def told() -> list[tuple[str, float]]:
+def progress() -> list[tuple[str, float]]:
     """Return the progress that the search for ``result`` reported."""
     return []
 
 
 @pytest.fixture(scope="module")
 def result(
-    stitcher: Machine, spec: Spec, corner: Path, told: list[tuple[str, float]]
+    stitcher: Machine, spec: Spec, corner: Path, progress: list[tuple[str, float]]
 ) -> DesignResult:
     return design(
         corner,
         two_parameters(stitcher),
         spec,
         Options(),
-        Wanted(effort=ENOUGH),
-        progress=lambda what, share: told.append((what, share)),
+        Requirements(effort=ENOUGH),
+        progress=lambda what, share: progress.append((what, share)),
     )
 
 
@@ -130,14 +130,14 @@ def test_filters_of_many_candidates_are_those_of_each(stitcher: Machine) -> None
             zero = numbers[f"controllers.{axis.lower()}.zero"][index]
             loop = axis_loop(stitcher, axis, Values.of(stitcher, own))
             try:
-                alone = design_lead(loop, crossover, margin)
+                single = design_lead(loop, crossover, margin)
             except OptionError:
                 # The phase is ample without any lead: the zero is as far out as it can be.
                 assert zero == pytest.approx(1 / 256)
                 continue
             # For a stiff machine the stacked exponential is accurate to about 1e-8.
-            assert gain == pytest.approx(alone.gain, rel=1e-6)
-            assert 1 - zero == pytest.approx(1 - alone.zero, rel=1e-5)
+            assert gain == pytest.approx(single.gain, rel=1e-6)
+            assert 1 - zero == pytest.approx(1 - single.zero, rel=1e-5)
             filters = {k: v[index : index + 1] for k, v in numbers.items()}
             margins = loop_margins(axis_loop(stitcher, axis, Values.of(stitcher, own | filters)))
             first = margins.gain_crossovers[0]
@@ -204,13 +204,13 @@ def test_the_design_is_in_spec_and_nothing_cheaper_on_a_grid_is(
 
 
 def test_progress_of_a_redesign_never_falls(
-    result: DesignResult, told: list[tuple[str, float]]
+    result: DesignResult, progress: list[tuple[str, float]]
 ) -> None:
     """All stages are checked, the trade of cost for margin among them."""
     assert result.simulated > 0
-    stages = list(dict.fromkeys(what for what, _ in told))
+    stages = list(dict.fromkeys(what for what, _ in progress))
     assert stages[:3] == ["sampling", "narrowing", "trading cost for margin"]
-    shares = [share for _, share in told]
+    shares = [share for _, share in progress]
     assert shares == sorted(shares) and shares[0] >= 0.0 and shares[-1] <= 1.0
 
 
@@ -220,10 +220,10 @@ def test_printed_design_states_its_level(
     """The level is below the verdict, in the last sentence and above the other machines."""
     assert result.found is not None
     command.show_design(result)
-    told = capsys.readouterr().out
-    assert f"IN SPEC (repeated: {result.found.verdict.runs} runs" in told
-    assert "in spec (repeated) with belt x " in told
-    assert "of the limit, 20 runs" in told
+    output = capsys.readouterr().out
+    assert f"IN SPEC (repeated: {result.found.verdict.runs} runs" in output
+    assert "in spec (repeated) with belt x " in output
+    assert "of the limit, 20 runs" in output
 
 
 def test_candidates_are_tried_in_the_runs_that_prove_draws(
@@ -284,7 +284,7 @@ def test_corners_cost_more(
         two_parameters(stitcher, (1.0, 30.0)),
         spec,
         Options(),
-        Wanted(corners=True, effort=NO_REGION),
+        Requirements(corners=True, effort=NO_REGION),
     )
     assert robust.found is not None
     assert result.found is not None
@@ -314,7 +314,7 @@ def test_no_design_says_what_binds(stitcher: Machine, spec: Spec, corner: Path) 
     assert machine.design is not None
     load = DesignParameter(of=machine.design.parameters["load"].of, factor=(0.999, 1.0))
     only = replace(machine, design=replace(machine.design, parameters={"load": load}))
-    result = design(corner, only, spec, Options(), Wanted(effort=SMALL))
+    result = design(corner, only, spec, Options(), Requirements(effort=SMALL))
     assert result.found is None
     assert result.region is None
     assert result.nearest.ratio > 1.0
@@ -331,7 +331,7 @@ def test_design_by_settings_alone_takes_the_largest_margin(
     """
     slow = tmp_path / "slow.seam.toml"
     slow.write_text(CORNER.replace("75 stitch/s", "30 stitch/s"))
-    result = design(slow, two_parameters(stitcher), spec, Options(), Wanted(effort=NO_REGION))
+    result = design(slow, two_parameters(stitcher), spec, Options(), Requirements(effort=NO_REGION))
     assert result.found is not None
     assert result.found.candidate.cost == 0.0
     assert result.found.candidate.ratio <= 1.1 * result.as_built.ratio

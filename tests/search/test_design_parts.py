@@ -20,15 +20,15 @@ from threadline.search import design_parts
 from threadline.search.design_evaluate import Evaluator
 from threadline.search.design_parts import read_design_part
 
-Said = Callable[..., tuple[int, str, str]]
+RunCommand = Callable[..., tuple[int, str, str]]
 WORDS = ["turn.prg", "-m", "lathe-winder", "-s", "close.toml", "--nominal"]
 WORDS += ["--interpolation", "linear", "--front", "12"]
 
 
 @pytest.fixture
-def said(
+def run_command(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> Said:
+) -> RunCommand:
     """Run ``threadline design`` in a folder with a job; return exit status, answer and errors."""
     monkeypatch.chdir(tmp_path)
     Path("turn.prg").write_text(TURN, encoding="utf-8")
@@ -38,20 +38,20 @@ def said(
     def run(*words: object) -> tuple[int, str, str]:
         with pytest.raises(SystemExit) as ended:
             main(["design", *map(str, words)])
-        told = capsys.readouterr()
-        err = [line for line in told.err.splitlines(keepends=True) if line.startswith("error")]
-        return int(ended.value.code or 0), told.out, "".join(err)
+        captured = capsys.readouterr()
+        err = [line for line in captured.err.splitlines(keepends=True) if line.startswith("error")]
+        return int(ended.value.code or 0), captured.out, "".join(err)
 
     return run
 
 
-def made(said: Said, count: int, *more: str) -> list[Path]:
+def made(run_command: RunCommand, count: int, *more: str) -> list[Path]:
     """Make every part, in any order."""
     files = [Path(f"{k + 1}-of-{count}.design") for k in range(count)]
     order = list(range(count))
     random.Random(count).shuffle(order)
     for k in order:
-        code, out, err = said(*WORDS, *more, "--part", f"{k + 1}/{count}", "-o", files[k])
+        code, out, err = run_command(*WORDS, *more, "--part", f"{k + 1}/{count}", "-o", files[k])
         assert (code, out.count("\n"), err) == (0, 1, "")
     return files
 
@@ -63,18 +63,18 @@ def made(said: Said, count: int, *more: str) -> list[Path]:
     ids=["two searches", "three searches"],
 )
 def test_merged_parts_are_one_run_to_the_bit(
-    said: Said, number: int, parts: list[tuple[int, list[str]]]
+    run_command: RunCommand, number: int, parts: list[tuple[int, list[str]]]
 ) -> None:
     """The answer, the front and the files of three searches, in three parts and in two."""
-    one = said(*WORDS, "--searches", number, "-o", "found.toml", "--json")
+    one = run_command(*WORDS, "--searches", number, "-o", "found.toml", "--json")
     written = [Path(name).read_bytes() for name in ("found.toml", "found.spec.toml")]
     assert one[0] == 0 and json.loads(one[1])["front"]
     for count, more in parts:
-        files = made(said, count, *more)
+        files = made(run_command, count, *more)
         random.Random(7).shuffle(files)
         for name in "found.toml", "found.spec.toml":
             Path(name).unlink()
-        assert said("--merge", *files, "-o", "found.toml", "--json") == one
+        assert run_command("--merge", *files, "-o", "found.toml", "--json") == one
         again = [Path(name).read_bytes() for name in ("found.toml", "found.spec.toml")]
         assert again == written
     numbers = range(number)
@@ -82,17 +82,19 @@ def test_merged_parts_are_one_run_to_the_bit(
     assert [one.number for some in searches for one in some] == [*numbers]
     tried = {one.tried.points.tobytes() for some in searches for one in some}
     assert len(tried) == number  # each with its own random numbers
-    alone = json.loads(said(*WORDS, "--json")[1])
+    one_by_one = json.loads(run_command(*WORDS, "--json")[1])
     content = json.loads(one[1])
-    assert content["found"]["cost"] <= alone["found"]["cost"]
-    assert content["simulated"] > (number - 1) * alone["simulated"]
+    assert content["found"]["cost"] <= one_by_one["found"]["cost"]
+    assert content["simulated"] > (number - 1) * one_by_one["simulated"]
 
 
-def test_parts_that_do_not_fit_are_named(said: Said, monkeypatch: pytest.MonkeyPatch) -> None:
-    one, two, three = made(said, 3)
+def test_parts_that_do_not_fit_are_named(
+    run_command: RunCommand, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    one, two, three = made(run_command, 3)
 
     def refused(*files: object) -> str:
-        code, out, err = said("--merge", *files, "-o", "found.toml")
+        code, out, err = run_command("--merge", *files, "-o", "found.toml")
         assert (code, out, err.count("\n")) == (2, "", 1), err
         assert not Path("found.toml").exists()
         return err
@@ -101,14 +103,14 @@ def test_parts_that_do_not_fit_are_named(said: Said, monkeypatch: pytest.MonkeyP
     assert "part 2/3 is there twice" in refused(one, two, two, three)
 
     def other(*words: str) -> Path:
-        said(*WORDS, "--part", "2/3", "-o", "other.design", *words)
+        run_command(*WORDS, "--part", "2/3", "-o", "other.design", *words)
         return Path("other.design")
 
     assert "another number of machines of --front" in refused(one, other("--front", "5"), three)
     assert "another choice of --corners" in refused(one, other("--corners"), three)
-    told = refused(one, other("--searches", "4"), three)
-    assert "'other.design' belongs to another redesign than '1-of-3.design'" in told
-    assert "another number of searches" in told
+    message = refused(one, other("--searches", "4"), three)
+    assert "'other.design' belongs to another redesign than '1-of-3.design'" in message
+    assert "another number of searches" in message
     assert "another set of options" in refused(one, other("--limits", "90 %"), three)
     Path("turn.prg").write_text(TURN.replace("X5", "X6"), encoding="utf-8")
     assert "another job" in refused(one, other(), three)
@@ -116,8 +118,8 @@ def test_parts_that_do_not_fit_are_named(said: Said, monkeypatch: pytest.MonkeyP
     Path("turn.prg").write_text(TURN, encoding="utf-8")
     with monkeypatch.context() as patch:
         patch.setattr(design_parts, "version", lambda name: "1.0")
-        told = refused(one, two, three)
-        assert "another version of numpy, version of scipy, version of numba" in told
+        message = refused(one, two, three)
+        assert "another version of numpy, version of scipy, version of numba" in message
     with monkeypatch.context() as patch:
         tried = Evaluator.tried
 
@@ -131,14 +133,14 @@ def test_parts_that_do_not_fit_are_named(said: Said, monkeypatch: pytest.MonkeyP
     assert "the parts are of job 'turn.prg', and it is not here" in refused(one, two, three)
 
 
-def test_a_changed_part_is_named_with_its_line(said: Said) -> None:
-    (file,) = made(said, 1)
+def test_a_changed_part_is_named_with_its_line(run_command: RunCommand) -> None:
+    (file,) = made(run_command, 1)
     whole = file.read_bytes()
     head, search = whole.splitlines(keepends=True)
 
     def refused(content: bytes) -> str:
         file.write_bytes(content)
-        code, out, err = said("--merge", file)
+        code, out, err = run_command("--merge", file)
         assert (code, out, err.count("\n")) == (2, "", 1), err
         return err
 
@@ -185,17 +187,19 @@ def test_a_changed_part_is_named_with_its_line(said: Said) -> None:
         (["--searches", "0"], "--searches"),
     ],
 )
-def test_impossible_part_of_a_redesign_is_refused(words: list[str], says: str, said: Said) -> None:
+def test_impossible_part_of_a_redesign_is_refused(
+    words: list[str], says: str, run_command: RunCommand
+) -> None:
     before = Path("turn.prg").read_bytes()
-    code, out, err = said(*WORDS, *words)
+    code, out, err = run_command(*WORDS, *words)
     assert (code, out) == (2, "") and says in err, err
     assert Path("turn.prg").read_bytes() == before and not Path("x").exists()
 
 
-def test_the_level_of_a_merge_is_that_of_its_parts(said: Said) -> None:
-    (file,) = made(said, 1)
+def test_the_level_of_a_merge_is_that_of_its_parts(run_command: RunCommand) -> None:
+    (file,) = made(run_command, 1)
     for word in "--nominal", "--tolerances", "--corners":
-        code, _, err = said("--merge", file, word)
+        code, _, err = run_command("--merge", file, word)
         assert code == 2 and f"{word} was given" in err
-    code, _, err = said("--merge", "close.toml")
+    code, _, err = run_command("--merge", "close.toml")
     assert code == 2 and "it is not a part of a redesign" in err

@@ -13,7 +13,7 @@ from threadline.machine.numbers import number_at
 from threadline.proof.option_words import parse_feed
 from threadline.proof.options import Options
 from threadline.proof.pipeline import NOMINAL, Trials, prove
-from threadline.search.design import Wanted, design, write_design
+from threadline.search.design import Requirements, design, write_design
 from threadline.search.design_evaluate import Effort
 from threadline.search.design_single_proofs import share_used
 from threadline.verdict import Result, Status, Verdict, load_spec
@@ -45,7 +45,9 @@ def test_found_design_is_in_spec_by_prove(name: str, tmp_path: Path) -> None:
         (tmp_path / "close.toml").write_text(CLOSE)
         spec = load_spec(tmp_path / "close.toml", machine)
     trials = Trials(repeats=2)
-    result = design(EXAMPLES / file, machine, spec, options, Wanted(trials=trials, effort=FEW))
+    result = design(
+        EXAMPLES / file, machine, spec, options, Requirements(trials=trials, effort=FEW)
+    )
     assert not prove(EXAMPLES / file, machine, spec, options, None, NOMINAL).verdict.passed
     assert result.as_built.ratio > 1.0 and result.found is not None
     assert result.found.candidate.cost > 0.0 and result.found.candidate.ratio <= 1.0

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from threadline.cli.search_text import alone_words, forbidden_words
+from threadline.cli.search_text import forbidden_words, isolated_words
 from threadline.machine import load_machine
 from threadline.search import feed_range_m_s, find_fastest
 from threadline.search.fastest import Grid
@@ -61,15 +61,15 @@ def test_two_feeds_stand_for_all_between_them_where_the_planner_keeps_the_limits
 
 def test_narrow_intervals_beyond_an_edge_are_found() -> None:
     """Because times are rounded to whole ticks, feeds with thin margins pass and fail in turn."""
-    wanted = [(0.1, 0.93), (0.94, 1.0), (1.02, 1.03), (1.06, 1.07), (3.0, 3.4)]
+    expected = [(0.1, 0.93), (0.94, 1.0), (1.02, 1.03), (1.06, 1.07), (3.0, 3.4)]
 
     def judged(feed: float) -> Verdict:
-        return verdict(0.99 if any(low <= feed <= high for low, high in wanted) else 1.01)
+        return verdict(0.99 if any(low <= feed <= high for low, high in expected) else 1.01)
 
     found = find_fastest(judged, 0.1, 10.0, Grid(near=16))
 
     assert [(i.low, i.high) for i in reversed(found.intervals)] == [
-        (pytest.approx(low, rel=2.1e-3), pytest.approx(high, rel=2.1e-3)) for low, high in wanted
+        (pytest.approx(low, rel=2.1e-3), pytest.approx(high, rel=2.1e-3)) for low, high in expected
     ]
     # 47 steps from 0.1 to 10, and 17 in place of one step of the scan.
     assert found.step == pytest.approx(100 ** (1 / 47) - 1)
@@ -83,28 +83,28 @@ def test_a_feed_that_passes_alone_is_not_the_fastest() -> None:
         return verdict(0.99 if feed <= 1.0 or 1.0495 <= feed <= 1.0505 else 1.01)
 
     found = find_fastest(judged, 0.1, 10.0, Grid(points=48, near=400))
-    assert [i.alone for i in found.intervals] == [True, False]
-    assert found.alone == (pytest.approx(1.05, rel=1e-3),)
+    assert [i.isolated for i in found.intervals] == [True, False]
+    assert found.isolated == (pytest.approx(1.05, rel=1e-3),)
     assert found.best == pytest.approx(1.0, rel=2.1e-3) and found.best <= 1.0
     assert found.verdict.passed and found.limited_by == "contour_error"
-    assert alone_words(found, "mm/s", 1e3) == (
-        f"in spec alone, out of it within 0.2% on both sides: {found.alone[0] * 1e3:.12g} mm/s"
+    assert isolated_words(found, "mm/s", 1e3) == (
+        f"in spec alone, out of it within 0.2% on both sides: {found.isolated[0] * 1e3:.12g} mm/s"
     )
 
     def nowhere_else(feed: float) -> Verdict:
         return judged(feed) if feed > 1.02 else verdict(3.0)
 
     only = find_fastest(nowhere_else, 1.049, 1.06, Grid(points=12, near=16))
-    assert only.fastest is not None and only.fastest.alone
-    assert only.best == only.alone[0]
-    assert alone_words(only, "m/s").endswith("m/s; no range is in spec")
+    assert only.fastest is not None and only.fastest.isolated
+    assert only.best == only.isolated[0]
+    assert isolated_words(only, "m/s").endswith("m/s; no range is in spec")
 
 
 def test_an_end_of_the_search_is_not_alone() -> None:
     """A feed that passes at the end of a search has no failing neighbour there."""
     found = find_fastest(lambda f: verdict(0.9 if f >= 1.0595 else 1.1), 1.0, 1.06, Grid(near=16))
-    assert [(i.high, i.alone) for i in found.intervals] == [(1.06, False)]
-    assert not found.alone and alone_words(found, "m/s") == ""
+    assert [(i.high, i.isolated) for i in found.intervals] == [(1.06, False)]
+    assert not found.isolated and isolated_words(found, "m/s") == ""
 
 
 def test_nothing_passes_and_what_fails_is_said_where_it_came_closest() -> None:

@@ -30,7 +30,7 @@ from threadline.proof.options import Options, options_of
 from threadline.proof.pipeline import plan_job, write
 from threadline.proof.request import Words
 from threadline.search import by_pace
-from threadline.search.allowance import FastestJob, Rung
+from threadline.search.allowance import Candidate, FastestJob
 from threadline.search.by_pace import answered
 from threadline.search.fastest import Fastest
 from threadline.search.feed import search_range, searched_by
@@ -121,10 +121,10 @@ def test_the_normal_feed_of_an_operator_is_multiplied_as_well(tmp_path: Path) ->
     """The normal feed of the printed winder is F 12000: 100 % keeps it, 200 % doubles it."""
     winder = load_machine("lathe-winder")
     job = job_of(tmp_path, winder, "G1 X90 F12000\nX80 F60\nM30\n")
-    alone, same, twice = (nominal_s(job, winder, feed) for feed in (None, "100 %", "200 %"))
+    single, same, twice = (nominal_s(job, winder, feed) for feed in (None, "100 %", "200 %"))
     uncapped = nominal_s(job, replace(winder, operator=None), None)
-    assert same == pytest.approx(alone, rel=1e-12) and twice == pytest.approx(alone / 2.0)
-    assert alone[1] > 2.0 * uncapped[1] and alone[2] == uncapped[2]
+    assert same == pytest.approx(single, rel=1e-12) and twice == pytest.approx(single / 2.0)
+    assert single[1] > 2.0 * uncapped[1] and single[2] == uncapped[2]
 
 
 def test_percent_is_read_and_written_to_the_last_bit() -> None:
@@ -276,9 +276,11 @@ def test_a_winding_is_searched_in_one_run_and_judged_over_the_tolerances(
     assert over == sorted(over, reverse=True) and over[-2] == over[-1] <= 666.7
 
 
-@pytest.mark.parametrize(("whole", "said"), [(True, "at the level asked for"), (False, "prove it")])
+@pytest.mark.parametrize(
+    ("whole", "message"), [(True, "at the level asked for"), (False, "prove it")]
+)
 def test_the_output_says_which_feeds_were_judged_in_one_run(
-    whole: bool, said: str, examples: Path,
+    whole: bool, message: str, examples: Path,
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str],
 ) -> None:  # fmt: skip
     result = Result(
@@ -288,15 +290,15 @@ def test_the_output_says_which_feeds_were_judged_in_one_run(
     found = Fastest(
         intervals=(Interval(low=0.1, high=0.5),), limited_by="x", verdict=verdict, tried=3
     )
-    rung = Rung(share=0.25, found=found, duration_s=1.0)
-    job = FastestJob(best=rung, rungs=(rung,), in_one_run=True, whole=whole)
+    candidate = Candidate(share=0.25, found=found, duration_s=1.0)
+    job = FastestJob(best=candidate, candidates=(candidate,), in_one_run=True, whole=whole)
     monkeypatch.setattr(by_pace, "fastest_job", lambda _: job)
     given = Words.of("fastest", Door.PYTHON, {})
     answer = answered(question_of(given, examples / "x-180.prg", "lathe-winder"))
     FeedOutput(answer, "job").show(None, None)
     lines = capsys.readouterr().out.splitlines()
     (line,) = [one for one in lines if one.startswith("the feeds of the table pass in one run")]
-    assert "in one run of each plan" in line and said in line
+    assert "in one run of each plan" in line and message in line
 
 
 @pytest.mark.long(but="hoop")
@@ -328,20 +330,20 @@ def test_printed_override_gives_the_printed_time(
     asked = ["fastest", str(job), "-m", str(mill.reference), "-s", str(spec), "--nominal"]
     with pytest.raises(SystemExit) as stopped:
         main([*asked, "--json", "--high", "400 %"])
-    said = json.loads(capsys.readouterr().out)
-    assert not stopped.value.code and said["unit"] == "" and said["feed"] == "override"
-    assert said["best"] == 4.0
-    command = shlex.split(said["command"])
+    answer = json.loads(capsys.readouterr().out)
+    assert not stopped.value.code and answer["unit"] == "" and answer["feed"] == "override"
+    assert answer["best"] == 4.0
+    command = shlex.split(answer["command"])
     assert command[command.index("--feed") + 1] == "400 %"
     with pytest.raises(SystemExit) as stopped:
         main([*command[1:], "--json"])
     proved = json.loads(capsys.readouterr().out)
     assert not stopped.value.code
-    assert proved["duration_s"] == pytest.approx(said["duration_s"], rel=1e-9)
+    assert proved["duration_s"] == pytest.approx(answer["duration_s"], rel=1e-9)
 
 
 @pytest.mark.parametrize(
-    ("typed", "said"),
+    ("typed", "message"),
     [
         ("0 %", "must be greater than zero"),
         ("-5 %", "must be greater than zero"),
@@ -351,8 +353,8 @@ def test_printed_override_gives_the_printed_time(
         ("1e400 %", "finite"),
     ],
 )
-def test_a_wrong_percentage_is_named(typed: str, said: str) -> None:
-    with pytest.raises(OptionError, match=said):
+def test_a_wrong_percentage_is_named(typed: str, message: str) -> None:
+    with pytest.raises(OptionError, match=message):
         parse_feed(typed)
 
 

@@ -34,16 +34,18 @@ def test_part_of_the_limits_beats_all_of_them(examples: Path) -> None:
     result = fastest_job(
         Question(job=job, machine=machine, spec=spec, options=Options(), low=0.05, high=0.5)
     )
-    all_limits = next(rung for rung in result.rungs if rung.share == 1.0)
+    all_limits = next(candidate for candidate in result.candidates if candidate.share == 1.0)
 
     assert result.best.share < 1.0
     assert result.best.duration_s is not None
     # 360 mm; with the full limits the job crawls, if it is in spec at all.
     assert result.best.duration_s < 1.2
     assert all_limits.duration_s is None or all_limits.duration_s > 1.5 * result.best.duration_s
-    assert result.best.duration_s == min(r.duration_s for r in result.rungs if r.duration_s)
-    # The ladder halves the share; near its best rung the search has steps of the fourth root of 2.
-    assert {1.0, 0.5, 0.25, 0.125, 0.0625, 0.03125} < {rung.share for rung in result.rungs}
+    assert result.best.duration_s == min(r.duration_s for r in result.candidates if r.duration_s)
+    # The ladder halves the share; near its best share the search has steps of the fourth root of 2.
+    assert {1.0, 0.5, 0.25, 0.125, 0.0625, 0.03125} < {
+        candidate.share for candidate in result.candidates
+    }
     # The duration belongs to the found feed and share.
     chosen = Options(
         feed=Feed(FeedMode.FASTEST_AXIS, result.best.found.best), limit_share=result.best.share
@@ -82,9 +84,9 @@ def test_shares_of_the_limits_are_read_as_they_are_printed(
 ) -> None:
     """Steps of the fourth root of 2 have sixteen digits; the tried shares have six decimals."""
     found = shares_where_the_best_is(monkeypatch, 0.19)
-    rungs = [rung.share for rung in found.rungs]
-    assert len(rungs) > 6
-    for share in (*rungs, *np.random.default_rng(5).uniform(0.01, 1.0, 300).round(6).tolist()):
+    candidates = [one.share for one in found.candidates]
+    assert len(candidates) > 6
+    for share in (*candidates, *np.random.default_rng(5).uniform(0.01, 1.0, 300).round(6).tolist()):
         assert parse_share(share_words(share)) == share
         assert len(share_words(share)) <= len("18.1234 %")
     assert parse_share(share_words(0.1 + 0.2)) == 0.1 + 0.2
@@ -114,7 +116,7 @@ def test_historical_interpolations_are_searched_by_feed_alone(examples: Path) ->
         Question(job=job, machine=machine, spec=spec, options=options, low=0.03, high=0.05)
     )
 
-    assert [rung.share for rung in result.rungs] == [1.0]
+    assert [candidate.share for candidate in result.candidates] == [1.0]
     # The 1994 controller: 100 mm/s linear over an unprinted path; 0.5 mm of turning point at
     # 38 mm/s on the facts sheet's reversal test (0.47 mm at 36 mm/s, in proportion).
     best = result.best.found.best
@@ -129,16 +131,16 @@ def test_historical_interpolations_are_searched_by_feed_alone(examples: Path) ->
     assert len(result.best.found.intervals) == 3
 
 
-@pytest.mark.parametrize(("wanted", "rung"), [(-0.25, 1.0), (-0.75, 0.5)])
+@pytest.mark.parametrize(("expected", "tried_share"), [(-0.25, 1.0), (-0.75, 0.5)])
 def test_the_ladder_is_left_to_either_side(
-    monkeypatch: pytest.MonkeyPatch, wanted: float, rung: float
+    monkeypatch: pytest.MonkeyPatch, expected: float, tried_share: float
 ) -> None:
-    """The best share is a quarter of a rung below or above the ladder's best, but at most 1."""
-    result = shares_where_the_best_is(monkeypatch, 2.0**wanted)
-    tried = [one.share for one in result.rungs]
+    """The best share is a quarter of a step below or above the ladder's best, but at most 1."""
+    result = shares_where_the_best_is(monkeypatch, 2.0**expected)
+    tried = [one.share for one in result.candidates]
     assert max(tried) == 1.0
-    assert rung in tried
-    assert result.best.share == round(2.0**wanted, 6)
-    # After the best share the search ends: two rungs between, or one if the way up finds it.
+    assert tried_share in tried
+    assert result.best.share == round(2.0**expected, 6)
+    # After the best share the search ends: two shares between, or one if the way up finds it.
     between = sorted({share for share in tried if 0.5 < share < 1.0})
-    assert between[0] == pytest.approx(2.0 ** (-0.5 if wanted > -0.5 else -0.75), abs=1e-5)
+    assert between[0] == pytest.approx(2.0 ** (-0.5 if expected > -0.5 else -0.75), abs=1e-5)

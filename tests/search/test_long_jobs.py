@@ -28,7 +28,7 @@ from threadline.proof.options import Options, options_of
 from threadline.proof.pipeline import open_job, plan_job, try_plan, with_product
 from threadline.search import fastest_job, least_limits, whole_jobs
 from threadline.search import paced as search_paced
-from threadline.search.allowance import FastestJob, Rung
+from threadline.search.allowance import Candidate, FastestJob
 from threadline.search.deadline import INTERRUPTED, OUT_OF_TIME, Deadline
 from threadline.search.fastest import Fastest, Grid, Interval, find_fastest
 from threadline.search.feed import fastest_feed
@@ -84,10 +84,12 @@ def test_joined_stretches_go_on_as_the_job_does(tmp_path: Path, machine: Machine
     assert 38 + 4 <= moves_in(part) < 160
     left_out = len(whole) - len(kept)
     assert left_out % 38 == 0
-    ways, found = np.diff(whole, axis=0), np.diff(kept, axis=0)
-    first = int(np.argmax(np.abs(ways[: len(found)] - found).max(axis=1) > 2e-5)) or len(found) // 2
-    np.testing.assert_allclose(found[:first], ways[:first], atol=1e-12)
-    np.testing.assert_allclose(found[first:], ways[first + left_out :], atol=2e-5)
+    moves, found = np.diff(whole, axis=0), np.diff(kept, axis=0)
+    first = (
+        int(np.argmax(np.abs(moves[: len(found)] - found).max(axis=1) > 2e-5)) or len(found) // 2
+    )
+    np.testing.assert_allclose(found[:first], moves[:first], atol=1e-12)
+    np.testing.assert_allclose(found[first:], moves[first + left_out :], atol=2e-5)
     linear = [machine.axes[axis].kind == "linear" for axis in job.axes]
     np.testing.assert_allclose(kept[-1, linear], whole[-1, linear], atol=1e-9)
 
@@ -182,13 +184,17 @@ def test_the_worst_of_the_stretches_is_that_of_the_whole_job(
         assert found[key] == pytest.approx(value, rel=1e-3, abs=1e-5), key
     # The verdict on a feed covers all stretches, row by row.
     at = worst(parts, Feed(FeedMode.FASTEST_AXIS, 0.1))
-    told = fastest_feed(
+    found_by_parts = fastest_feed(
         Question(job=job, machine=machine, spec=spec, options=options, low=0.09, high=0.1),
         Grid(near=0, points=2),
         parts=parts,
     )
-    assert told.best == 0.1
-    rows = {(r.name, r.axis): r.measured for r in told.verdict.results if r.measured is not None}
+    assert found_by_parts.best == 0.1
+    rows = {
+        (r.name, r.axis): r.measured
+        for r in found_by_parts.verdict.results
+        if r.measured is not None
+    }
     assert {key: rows[key] for key in at} == at
     # Without these two places the job needs less acceleration: the search must not miss them.
     assert whole["acceleration", "A"] > 1.2 * plain["acceleration", "A"]
@@ -213,12 +219,12 @@ def test_only_the_shortest_failing_stretch_is_judged(
     file = tmp_path / "spec.toml"
     file.write_text('name = "any"\n[[criteria]]\nname = "contour_error"\n')
     spec, options = load_spec(file, machine), Options(interpolation="linear")
-    told = fastest_feed(
+    found_by_parts = fastest_feed(
         Question(job=parts[0], machine=machine, spec=spec, options=options, low=0.05, high=0.1),
         Grid(near=0, points=3),
         parts=parts,
     )
-    assert told.best is None and asked == [moves_in(parts[1])] * 3 and asked[0] < 20
+    assert found_by_parts.best is None and asked == [moves_in(parts[1])] * 3 and asked[0] < 20
 
 
 def test_a_job_that_repeats_nothing_is_one_part(tmp_path: Path, machine: Machine) -> None:
@@ -304,7 +310,7 @@ def test_no_time_at_all_is_refused(
     job = written(tmp_path, winding_blocks(60), machine)
     spec = tmp_path / "spec.toml"
     spec.write_text('name = "any"\n[[criteria]]\nname = "contour_error"\n')
-    for text, said in (
+    for text, message in (
         ("1 ns", "no plan could be judged"),
         ("0 s", "--within '0 s' must be greater than 0. Give how long the search may take"),
         ("-5 s", "--within '-5 s' must be greater than 0. Give how long the search may take"),
@@ -313,7 +319,7 @@ def test_no_time_at_all_is_refused(
         with pytest.raises(SystemExit) as end:
             main(["fastest", job.file, "-m", str(machine.file), "-s", str(spec), "--within", text])
         assert end.value.code == 2
-        assert said in capsys.readouterr().err
+        assert message in capsys.readouterr().err
 
 
 def test_settings_are_in_the_words_of_the_controller(tmp_path: Path, machine: Machine) -> None:
@@ -323,14 +329,14 @@ def test_settings_are_in_the_words_of_the_controller(tmp_path: Path, machine: Ma
     grbl = GrblPlanner(
         kind="grbl", junction_deviation=parse_machine_quantity("0.01 mm exact, assumed", ("m",))
     )
-    rung = Rung(share=0.25, found=found, duration_s=1.0)
+    candidate = Candidate(share=0.25, found=found, duration_s=1.0)
     job = written(tmp_path, winding_blocks(3), machine)
-    result = FastestJob(best=rung, rungs=(rung, rung))
-    told = list(settings_words(job, replace(machine, planner=grbl), result))
+    result = FastestJob(best=candidate, candidates=(candidate, candidate))
+    notes = list(settings_words(job, replace(machine, planner=grbl), result))
     x, a = (machine.axes[name].acceleration.si * 0.25 for name in "XA")
-    assert told[0].startswith("to set: F 30000, ")
-    assert f"$120={1e3 * x:.3f} (X, mm/s^2)" in told[1]
-    assert f"$123={math.degrees(a):.3f} (A, deg/s^2)" in told[1]
+    assert notes[0].startswith("to set: F 30000, ")
+    assert f"$120={1e3 * x:.3f} (X, mm/s^2)" in notes[1]
+    assert f"$123={math.degrees(a):.3f} (A, deg/s^2)" in notes[1]
 
 
 def test_coverage_and_tie_are_judged_on_the_whole_winding(

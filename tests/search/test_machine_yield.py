@@ -241,8 +241,8 @@ def test_machines_of_every_kind_are_drawn(job: str, name: str, measure: str) -> 
     for index, parts in enumerate(drawn(machine, 1, np.arange(2))):
         # By hand: the same commands on the other machine.
         made = variant(machine, parts)
-        told = replace(plan.commands, machine_sha256=made.sha256)
-        verdict = judge([pipeline.simulate(told, made)], plan, spec)
+        table = replace(plan.commands, machine_sha256=made.sha256)
+        verdict = judge([pipeline.simulate(table, made)], plan, spec)
         assert found.found.passed[index] == verdict.passed
         for row in found.found.rows:
             if row.name == measure:
@@ -301,10 +301,10 @@ def test_the_command_that_is_told_proves_the_worst_machine(
     with pytest.raises(SystemExit):
         main([*words, "--worst", worst, "--json"])
     content = json.loads(capsys.readouterr().out)
-    told = shlex.split(content["command"])
-    assert told[:2] == ["threadline", "prove"]
+    command = shlex.split(content["command"])
+    assert command[:2] == ["threadline", "prove"]
     with pytest.raises(SystemExit):
-        main([*told[1:], "--json"])
+        main([*command[1:], "--json"])
     proved = json.loads(capsys.readouterr().out)
     shares = {
         " ".join(filter(None, (c["name"], c["axis"]))): c["measured"] / c["limit"]
@@ -326,19 +326,19 @@ def test_machines_over_tolerances_of_a_frame_are_proved() -> None:
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("words", "message"),
     [
         (["x-180.prg", "-m", "lathe-winder", "--variants", "0"], "--variants"),
     ],
 )
 def test_yield_refuses_an_impossible_request_in_one_line(
-    words, said, capsys: pytest.CaptureFixture[str]
+    words, message, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with pytest.raises(SystemExit) as ended:
         main(["yield", str(JOB.parent / words[0]), *words[1:]])
-    told = capsys.readouterr()
-    assert (ended.value.code, told.out, told.err.count("\n")) == (2, "", 1)
-    assert said in told.err
+    captured = capsys.readouterr()
+    assert (ended.value.code, captured.out, captured.err.count("\n")) == (2, "", 1)
+    assert message in captured.err
 
 
 def test_a_worst_machine_beyond_a_limit_of_0_is_told_by_what_it_does(
@@ -353,9 +353,9 @@ def test_a_worst_machine_beyond_a_limit_of_0_is_told_by_what_it_does(
     ]  # fmt: skip
     with pytest.raises(SystemExit):
         main(["yield", *words, "--variants", "20", "--seed", "3", "--worst", str(worst)])
-    told = " ".join(capsys.readouterr().out.split())
-    found = re.search(r"worst machine, [a-z ]+: ([\d.]+) % of dac_saturation X, limit 0 %", told)
-    assert found, told
+    output = " ".join(capsys.readouterr().out.split())
+    found = re.search(r"worst machine, [a-z ]+: ([\d.]+) % of dac_saturation X, limit 0 %", output)
+    assert found, output
     assert "of dac_saturation X, limit 0 %" in worst.read_text(encoding="utf-8")
     with pytest.raises(SystemExit):
         main(["prove", *words, "--actual", str(worst), "--nominal", "--json"])

@@ -75,18 +75,18 @@ def robust(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict[str, Any], Pa
     job, spec, file = folder / "lift.toml", folder / "still.spec.toml", folder / "best.toml"
     job.write_text(LIFT, encoding="utf-8")
     spec.write_text(SPEC, encoding="utf-8")
-    said = StringIO()
+    stream = StringIO()
     words = ["fastest", job, "-m", "letter-placer", "-s", spec, "--band", "20 %", "--nominal"]
     words += ["--report", folder / "report"]
     with (
         pytest.MonkeyPatch.context() as patched,
-        redirect_stdout(said),
+        redirect_stdout(stream),
         pytest.raises(SystemExit) as ended,
     ):
         blank_pictures(patched)
         main([*map(str, words), "-o", str(file), "--json"])
     assert ended.value.code == 0
-    return json.loads(said.getvalue()), file, spec
+    return json.loads(stream.getvalue()), file, spec
 
 
 def test_modes_move_as_they_are_told(tmp_path: Path) -> None:
@@ -176,7 +176,7 @@ def test_compile_takes_the_list_as_it_is(
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("words", "message"),
     [
         (["--band", "0 %"], "band '0 %' must be above 0 % and at most 60 %"),
         (["--band", "90 %"], "band '90 %' must be above 0 % and at most 60 %"),
@@ -184,12 +184,12 @@ def test_compile_takes_the_list_as_it_is(
     ],
 )
 def test_bands_that_are_none_are_refused(
-    words: list[str], said: str, capsys: pytest.CaptureFixture[str]
+    words: list[str], message: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     cycle = Path(__file__).parents[2] / "examples" / "letter-cycle.toml"
     code, out, err = run(capsys, "fastest", cycle, "-m", "letter-placer", *words)
     assert (code, out, err.count("\n")) == (2, "", 1)
-    assert said in err
+    assert message in err
 
 
 def test_a_specification_that_limits_nothing_asks_for_no_robust_command(
@@ -263,8 +263,8 @@ def test_the_line_of_a_band_says_that_each_machine_ran_once(
         tried=3,
     )
     show(robust_lines(cast("RobustCycle", none_found)))
-    said = " ".join(capsys.readouterr().out.split())
+    output = " ".join(capsys.readouterr().out.split())
     assert (
         "residual vibration at most 0.0975 mm on 17 machines, one run each, with modes of X 2.33"
-        in said
+        in output
     )

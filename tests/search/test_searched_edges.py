@@ -118,7 +118,7 @@ def test_a_job_judged_by_parts_has_its_best_pace_searched_alone() -> None:
         return verdict(0.5, days=DAYS)
 
     found = find_fastest(lambda pace: verdict(pace / 50.0), 1.0, 100.0, Grid(points=24))
-    once = with_searched_edges(found, lambda pace: verdict(pace / 50.0), searched, best_alone=True)
+    once = with_searched_edges(found, lambda pace: verdict(pace / 50.0), searched, best_only=True)
     assert asked == [found.best]
     assert once.tried == found.tried
     assert once.intervals == found.intervals

@@ -33,7 +33,7 @@ def found() -> Fastest:
 def shares_of(
     durations: dict[float, float],
     at_top: dict[float, float],
-    told: list[float] | None = None,
+    fractions: list[float] | None = None,
     until: Deadline | None = None,
 ) -> tuple[Shares, list[float]]:
     """Shares of a search that finds these durations, and the list of searched shares."""
@@ -51,7 +51,7 @@ def shares_of(
         duration_s=lambda share, _: durations[share],
         at_top_s=lambda share: at_top[share],
         expected=4,
-        progress=None if told is None else lambda _, part: told.append(part),
+        progress=None if fractions is None else lambda _, part: fractions.append(part),
         until=until,
     )
     return shares, searched
@@ -65,7 +65,11 @@ def test_a_share_that_cannot_be_the_answer_is_left_out() -> None:
     shares, searched = shares_of({1.0: 1000.0, 0.5: 900.0}, {0.5: 850.0, 0.25: 900.0})
     assert shares.tried(1.0, Grid()) is not None and shares.tried(0.5, Grid()) is not None
     assert shares.tried(0.25, Grid()) is None and shares.tried(0.25, Grid()) is None
-    assert searched == [1.0, 0.5] and shares.left_out == {0.25} and set(shares.rungs) == {1.0, 0.5}
+    assert (
+        searched == [1.0, 0.5]
+        and shares.left_out == {0.25}
+        and set(shares.candidates) == {1.0, 0.5}
+    )
     assert shares.tried(0.5, Grid(near=16)) is not None and searched == [1.0, 0.5, 0.5]
 
 
@@ -88,15 +92,15 @@ def test_share_is_searched_if_its_highest_feed_breaks_a_limit() -> None:
 
 
 def test_progress_of_the_search_over_shares_only_grows() -> None:
-    told: list[float] = []
-    shares, _ = shares_of({1.0: 1e3, 0.5: 9e2}, {0.5: 1.0, 0.25: 9e2, 0.125: 9e2}, told)
+    fractions: list[float] = []
+    shares, _ = shares_of({1.0: 1e3, 0.5: 9e2}, {0.5: 1.0, 0.25: 9e2, 0.125: 9e2}, fractions)
     for share in (1.0, 0.5, 0.25, 0.125):
         shares.tried(share, Grid())
-    assert told == sorted(told) and told[0] == 0.0 and told[-1] == 0.75
-    assert {0.0625, 0.125, 0.25, 0.3125, 0.5} <= set(told)
+    assert fractions == sorted(fractions) and fractions[0] == 0.0 and fractions[-1] == 0.75
+    assert {0.0625, 0.125, 0.25, 0.3125, 0.5} <= set(fractions)
     for _ in range(4):
         shares.tried(1.0, Grid(near=16))
-    assert told == sorted(told) and told[-1] == 1.0
+    assert fractions == sorted(fractions) and fractions[-1] == 1.0
 
 
 def test_an_interrupt_while_the_best_is_planned_leaves_it() -> None:
@@ -113,7 +117,7 @@ def test_an_interrupt_while_the_best_is_planned_leaves_it() -> None:
     shares.duration_s = interrupted
     with pytest.raises(HaltError):
         shares.tried(1.0, Grid())
-    assert shares.rungs[1.0].duration_s == 1000.0 and until.ended == INTERRUPTED
+    assert shares.candidates[1.0].duration_s == 1000.0 and until.ended == INTERRUPTED
 
 
 def test_a_finer_search_that_is_ended_keeps_what_was_known() -> None:
@@ -133,9 +137,9 @@ def test_a_finer_search_that_is_ended_keeps_what_was_known() -> None:
     assert len(asked) == before and not ended.complete and ended.best == coarse.best
     fine = find_fastest(judged, 0.1, 10.0, Grid(points=9, near=4), seen=seen)
     assert len(set(asked)) == len(asked) == fine.tried
-    alone = find_fastest(judged, 0.1, 10.0, Grid(points=9, near=4))
-    assert fine.best is not None and alone.best is not None
-    assert fine.best == pytest.approx(alone.best, rel=4e-3)
+    single = find_fastest(judged, 0.1, 10.0, Grid(points=9, near=4))
+    assert fine.best is not None and single.best is not None
+    assert fine.best == pytest.approx(single.best, rel=4e-3)
 
 
 @pytest.fixture(scope="module")
@@ -178,7 +182,9 @@ def test_a_long_job_is_not_searched_with_limits_that_cannot_be_the_answer(
         )
     )
     assert result.best.share == 1.0 and result.best.duration_s > 300.0
-    assert set(result.left_out) > {0.5, 0.25, 0.125} and [r.share for r in result.rungs] == [1.0]
+    assert set(result.left_out) > {0.5, 0.25, 0.125} and [r.share for r in result.candidates] == [
+        1.0
+    ]
     assert result.ended == INTERRUPTED and not result.whole and result.parts
     # The accelerations are still printed, because their share was searched.
     assert len(list(settings_words(job, machine, result))) == 2
@@ -197,10 +203,10 @@ def test_a_long_job_is_not_searched_with_limits_that_cannot_be_the_answer(
 
 def test_long_job_examines_only_its_fastest_interval() -> None:
     """A gap in it and a narrow interval above it are found; gaps among slower feeds are not."""
-    wanted = [(0.1, 0.2), (0.205, 0.3), (1.0, 1.8), (1.82, 2.0), (2.03, 2.06)]
+    expected = [(0.1, 0.2), (0.205, 0.3), (1.0, 1.8), (1.82, 2.0), (2.03, 2.06)]
 
     def judged(feed: float) -> Verdict:
-        return verdict(0.99 if any(low <= feed <= high for low, high in wanted) else 1.01)
+        return verdict(0.99 if any(low <= feed <= high for low, high in expected) else 1.01)
 
     few = find_fastest(judged, 0.1, 10.0, Grid(points=20, near=16, every=False))
     all_of_them = find_fastest(judged, 0.1, 10.0, Grid(points=20, near=16))
@@ -270,21 +276,21 @@ def test_below_feeds_that_pass_alone_the_next_interval_is_looked_into() -> None:
     """One feed of the scan passes alone at 10^0.5; below 1 there is a gap that the scan misses."""
 
     def judged(feed: float) -> Verdict:
-        passes = feed <= 0.45 or 0.55 <= feed <= 1.0 or abs(feed - alone) < 1e-4
+        passes = feed <= 0.45 or 0.55 <= feed <= 1.0 or abs(feed - single) < 1e-4
         return verdict(0.99 if passes else 1.01)
 
-    alone = float(f"{10.0**0.5:.4g}")
+    single = float(f"{10.0**0.5:.4g}")
     found = find_fastest(judged, 0.1, 10.0, Grid(points=9, near=16, every=False))
-    assert found.alone == (alone,) and found.best == pytest.approx(1.0, rel=2.1e-3)
+    assert found.isolated == (single,) and found.best == pytest.approx(1.0, rel=2.1e-3)
     # Four feeds in a row pass down to 10^-0.75.
-    lows = [i.low for i in found.intervals if not i.alone]
+    lows = [i.low for i in found.intervals if not i.isolated]
     assert lows == pytest.approx([0.55, 10.0**-0.75], rel=2.1e-3) and found.low == lows[-1]
 
     def nothing_holds(feed: float) -> Verdict:
-        return verdict(0.99 if abs(feed - alone) < 1e-4 else 1.01)
+        return verdict(0.99 if abs(feed - single) < 1e-4 else 1.01)
 
     found = find_fastest(nothing_holds, 0.1, 10.0, Grid(points=9, near=16, every=False))
-    assert found.alone == (alone,) and found.best == alone
+    assert found.isolated == (single,) and found.best == single
 
 
 def test_limiting_criterion_ignores_a_feed_that_passes_by_chance() -> None:
@@ -304,8 +310,8 @@ def test_a_search_between_two_feeds_is_half_done_behind_the_first() -> None:
 
     As one of fifty trials, the first feed made a search of minutes look like hours.
     """
-    told: list[float] = []
-    trials = TrialShares(lambda _, share: told.append(share), "searching", 0.0)
+    fractions: list[float] = []
+    trials = TrialShares(lambda _, share: fractions.append(share), "searching", 0.0)
 
     def judged(feed: float) -> Verdict:
         trials.within(0.5)
@@ -314,9 +320,13 @@ def test_a_search_between_two_feeds_is_half_done_behind_the_first() -> None:
     highest = 100.0
     grid = Grid(points=9, near=4, between=True)
     find_fastest(judged, 0.1, 10.0, grid, trials=trials)
-    assert told == pytest.approx([0.245, 0.49, 0.735, 0.98])
-    told.clear()
-    trials, highest = TrialShares(lambda _, share: told.append(share), "searching", 0.0), 3.0
+    assert fractions == pytest.approx([0.245, 0.49, 0.735, 0.98])
+    fractions.clear()
+    trials, highest = TrialShares(lambda _, share: fractions.append(share), "searching", 0.0), 3.0
     find_fastest(judged, 0.1, 10.0, grid, trials=trials)
-    assert told == sorted(told) and told[1] == pytest.approx(0.49) and told[-1] <= 0.98
-    assert len(told) > 20
+    assert (
+        fractions == sorted(fractions)
+        and fractions[1] == pytest.approx(0.49)
+        and fractions[-1] <= 0.98
+    )
+    assert len(fractions) > 20

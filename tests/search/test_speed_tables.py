@@ -60,5 +60,5 @@ def test_incomplete_parts_of_a_speed_table_are_named(capsys: pytest.CaptureFixtu
     assert "another which" in capsys.readouterr().err
     with pytest.raises(SystemExit):
         tables.main(["stitcher", "--part", "1/60", "-o", "1.part"])
-    told = capsys.readouterr().err
-    assert "12 speeds of a table are too few for 60 parts" in told and "--variants" not in told
+    errors = capsys.readouterr().err
+    assert "12 speeds of a table are too few for 60 parts" in errors and "--variants" not in errors

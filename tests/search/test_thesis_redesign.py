@@ -60,9 +60,9 @@ def test_printed_redesign_with_load_damping_misses_its_specification() -> None:
 )
 def test_bandwidths(name: str, printed: tuple[float, float], within: float) -> None:
     machine = load_machine(name)
-    for axis, wanted in zip("XY", printed, strict=True):
+    for axis, expected in zip("XY", printed, strict=True):
         found = loop_figures(axis_loop(machine, axis), "sampled").bandwidth_hz
-        assert found == pytest.approx(wanted, rel=within)
+        assert found == pytest.approx(expected, rel=within)
 
 
 def test_the_full_mass_saturates_at_1092_in_s2_and_half_of_it_hardly() -> None:
@@ -73,12 +73,12 @@ def test_the_full_mass_saturates_at_1092_in_s2_and_half_of_it_hardly() -> None:
     assert full["clamped"][0] > 3 * half["clamped"][0]
     assert full["clamped"][1] > 1.3 * half["clamped"][1]
     # The current from an amplifier without this limit: even half the mass needs more than 27 A.
-    wanted = {
+    expected = {
         name: two_corners(f"{name}+no-load-damping", "500")["peak_a"]
         for name in ("stitcher-rigid", "stitcher-rigid-half-mass")
     }
-    assert wanted["stitcher-rigid"] == pytest.approx((35.4, 35.6), abs=0.3)
-    assert wanted["stitcher-rigid-half-mass"] == pytest.approx((29.4, 32.4), abs=0.3)
+    assert expected["stitcher-rigid"] == pytest.approx((35.4, 35.6), abs=0.3)
+    assert expected["stitcher-rigid-half-mass"] == pytest.approx((29.4, 32.4), abs=0.3)
     # With the damping, nearly the whole current holds the speed alone.
     kept = two_corners("stitcher-rigid-half-mass")
     assert min(kept["clamped"]) > 0.25

@@ -47,7 +47,7 @@ back have the same."""
 def few_searched(monkeypatch: pytest.MonkeyPatch) -> None:
     """Search the worst machine among few, in the search and when its answer is typed back."""
     monkeypatch.setattr(worst_search, "SEARCHED", 10)
-    monkeypatch.setattr(worst_search, "SEARCHED_ALONE", 2)
+    monkeypatch.setattr(worst_search, "SEARCHED_SERIAL", 2)
 
 
 def drawn(low: float, high: float) -> list[float]:
@@ -169,8 +169,8 @@ def test_feeds_of_the_winder_pass_as_they_are_printed(
     assert found.intervals
     for interval in found.intervals:
         for feed in drawn(interval.low * 1e3, interval.high * 1e3):
-            told = replace(options, feed=parse_feed(f"{typed(feed)} mm/s"))
-            proof = prove_plan(plan_job(job, machine, told), spec, trials=trials)
+            typed_options = replace(options, feed=parse_feed(f"{typed(feed)} mm/s"))
+            proof = prove_plan(plan_job(job, machine, typed_options), spec, trials=trials)
             assert proof.verdict.passed and proof.verdict.level == trials.level, feed
 
 
@@ -181,9 +181,9 @@ def test_speeds_of_a_shaft_pass_as_they_are_printed(tmp_path: Path, trials: Tria
     """For a frame with step tables; one run far from the limits proves no other machine."""
     machine = load_machine("schiffli-frame")
     spec = load_spec(None, machine)
-    ways = np.random.default_rng(4).integers(5, 81, (8, 2)) * np.array([1, -1])
+    moves = np.random.default_rng(4).integers(5, 81, (8, 2)) * np.array([1, -1])
     design = tmp_path / "eight.exp"
-    design.write_bytes(ways.astype(np.int8).tobytes())
+    design.write_bytes(moves.astype(np.int8).tobytes())
     job = read_job(design, machine)
     found = shaft.constant_speeds(
         Question(
@@ -194,8 +194,8 @@ def test_speeds_of_a_shaft_pass_as_they_are_printed(tmp_path: Path, trials: Tria
     assert found.intervals
     for interval in found.intervals:
         for speed in drawn(interval.low, interval.high):
-            told = Options(feed=parse_feed(f"{typed(60.0 * speed)} stitch/min"))
-            proof = prove_plan(plan_job(job, machine, told), spec, trials=trials)
+            typed_options = Options(feed=parse_feed(f"{typed(60.0 * speed)} stitch/min"))
+            proof = prove_plan(plan_job(job, machine, typed_options), spec, trials=trials)
             assert proof.verdict.passed, speed
 
 
@@ -219,8 +219,8 @@ def test_feeds_over_the_tolerances_pass_on_the_machines_that_they_are_of(
         actual = off_tolerance(machine, mass=cell.mass, stiffness=cell.stiffness)
         for interval in cell.intervals:
             for feed in drawn(interval.low * 1e3, interval.high * 1e3):
-                told = replace(options, feed=parse_feed(f"{typed(feed)} mm/s"))
-                proof = prove_plan(plan_job(job, machine, told), spec, actual=actual)
+                typed_options = replace(options, feed=parse_feed(f"{typed(feed)} mm/s"))
+                proof = prove_plan(plan_job(job, machine, typed_options), spec, actual=actual)
                 assert proof.verdict.passed, (cell.mass, cell.stiffness, feed)
 
 
@@ -301,7 +301,7 @@ def test_interval_ends_early_if_the_used_share_jumps_between_feeds(phase: float)
 
     found = find_fastest(judged, 1.0, 8.0, Grid(points=7, near=2))
     best = found.fastest
-    assert best is not None and not best.alone and 3.92 <= best.high < 3.99
+    assert best is not None and not best.isolated and 3.92 <= best.high < 3.99
     random = np.random.default_rng(3)
     high = random.uniform(0.99 * best.high, best.high, 1000)
     assert np.mean([used(feed) > 1.0 for feed in high]) < 0.2

@@ -23,7 +23,7 @@ from threadline.proof import pipeline
 from threadline.proof.options import Options
 from threadline.proof.pipeline import open_job, plan_job, prove_plan, yielding
 from threadline.proof.request import trials_of
-from threadline.search.design import Wanted, design
+from threadline.search.design import Requirements, design
 from threadline.search.design_evaluate import Evaluator, Tried
 from threadline.search.design_proof import ProvedDesign
 from threadline.search.influence import cheapest_set
@@ -56,12 +56,12 @@ def test_rejects_are_the_machines_that_fail_alone(asked: tuple[Plan, Spec]) -> N
         drawn(plan.machine, pipeline.VARIANT_SEED, np.arange(12)), phases, strict=True
     ):
         made = variant(plan.machine, parts)
-        alone = simulate(tick_table(plan.commands), made, encoder_phase=phase)
-        failed += not judge([alone], plan, spec).passed
-    told = proof.verdict.result("rejects")
-    assert told.note == f"{failed} of 12 machines within the tolerances are out of specification"
-    assert told.measured == pytest.approx(1.0 - clopper_pearson(12 - failed, 12)[0], rel=1e-12)
-    assert (told.limit, proof.verdict.level) == (0.5, Level.YIELD)
+        single = simulate(tick_table(plan.commands), made, encoder_phase=phase)
+        failed += not judge([single], plan, spec).passed
+    rejects = proof.verdict.result("rejects")
+    assert rejects.note == f"{failed} of 12 machines within the tolerances are out of specification"
+    assert rejects.measured == pytest.approx(1.0 - clopper_pearson(12 - failed, 12)[0], rel=1e-12)
+    assert (rejects.limit, proof.verdict.level) == (0.5, Level.YIELD)
     assert 0 < failed < 12
 
 
@@ -190,14 +190,16 @@ def test_a_design_is_refused_whose_machines_are_out(tmp_path: Path) -> None:
     file.write_text(CORNER)
     spec = load_spec(PLACE, stitcher)
     # Each dead time needs its own kernel: for a thousand machines these take minutes.
-    kept = replace(stitcher.tolerances, exclude=(*stitcher.tolerances.exclude, "drives.*.delay"))
-    machine = replace(two_parameters(stitcher, (1.0, 30.0)), tolerances=kept)
-    plain = design(file, machine, spec, Options(), Wanted(effort=NO_REGION)).found
+    tolerances = replace(
+        stitcher.tolerances, exclude=(*stitcher.tolerances.exclude, "drives.*.delay")
+    )
+    machine = replace(two_parameters(stitcher, (1.0, 30.0)), tolerances=tolerances)
+    plain = design(file, machine, spec, Options(), Requirements(effort=NO_REGION)).found
     assert plain is not None and plain.verdict.passed
     plan = plan_job(read_job(file, plain.machine), plain.machine, Options())
     assert MachineYield(plan, plain.spec).drawn(600, 7).interval[1] < 0.125
     for_yield = design(
-        file, machine, spec, Options(), Wanted(trials=yielding(0.125), effort=NO_REGION)
+        file, machine, spec, Options(), Requirements(trials=yielding(0.125), effort=NO_REGION)
     )
     assert "rejects" in for_yield.refused
     assert for_yield.found is not None
@@ -222,18 +224,18 @@ def test_a_design_is_found_whose_machines_are_in(tmp_path: Path) -> None:
                             ("links.x_belt", "stiffness"), ("links.y_belt", "stiffness"))
     }  # fmt: skip
     held = [path for one in uncertain(stitcher) for path in one.numbers if path not in varies]
-    kept = replace(stitcher.tolerances, exclude=(*stitcher.tolerances.exclude, *held))
-    machine = replace(two_parameters(stitcher, (1.0, 8.0)), tolerances=kept)
+    tolerances = replace(stitcher.tolerances, exclude=(*stitcher.tolerances.exclude, *held))
+    machine = replace(two_parameters(stitcher, (1.0, 8.0)), tolerances=tolerances)
 
     def drawn_by_hand(found: ProvedDesign) -> tuple[float, float]:
         plan = plan_job(read_job(file, found.machine), found.machine, Options())
         return MachineYield(plan, found.spec).drawn(200, 7).interval
 
-    plain = design(file, machine, spec, Options(), Wanted(effort=NO_REGION)).found
+    plain = design(file, machine, spec, Options(), Requirements(effort=NO_REGION)).found
     assert plain is not None and plain.candidate.cost == 0.0
     assert drawn_by_hand(plain)[1] < 0.7
     for_yield = design(
-        file, machine, spec, Options(), Wanted(trials=yielding(0.8), effort=NO_REGION)
+        file, machine, spec, Options(), Requirements(trials=yielding(0.8), effort=NO_REGION)
     ).found
     assert for_yield is not None and for_yield.verdict.passed
     assert for_yield.verdict.result("rejects").measured <= 0.2

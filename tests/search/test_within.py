@@ -90,7 +90,7 @@ def optimal(until: Deadline) -> tuple[float | None, int]:
         )
     )
     assert found.ended == until.ended
-    return found.best.found.best, len(found.rungs)
+    return found.best.found.best, len(found.candidates)
 
 
 SEARCHES: dict[str, Callable[[Deadline], tuple[float | None, int]]] = {
@@ -254,13 +254,13 @@ def test_the_command_takes_a_time_for_every_kind(
     words = ["fastest", str(EXAMPLES / name), "-m", machine, "--nominal", "--json", *more]
     with pytest.raises(SystemExit) as end:
         main([*words, "--within", "1 ns"])
-    told = capsys.readouterr()
+    captured = capsys.readouterr()
     if name == "letter-cycle.toml":
-        answer: dict[str, Any] = json.loads(told.out)
+        answer: dict[str, Any] = json.loads(captured.out)
         assert (end.value.code, answer["tried"], answer["ended"]) == (1, 1, OUT_OF_TIME)
     else:
         assert end.value.code == 2
-        assert "no plan could be judged in that time" in told.err
+        assert "no plan could be judged in that time" in captured.err
 
 
 def test_python_says_that_a_search_ended_early_as_the_command_line_does(

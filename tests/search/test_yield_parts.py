@@ -28,20 +28,20 @@ from threadline.verdict import EachRun
 
 TURN = "G91\nG1 X5 F1000\nG1 X-5\nM30\n"
 _COMPILES = "compiling machine code"
-Said = Callable[..., tuple[int, str, str]]
+RunCommand = Callable[..., tuple[int, str, str]]
 
 
 @pytest.fixture
-def said(capsys: pytest.CaptureFixture[str]) -> Said:
+def run_command(capsys: pytest.CaptureFixture[str]) -> RunCommand:
     """Run ``threadline yield``; return its exit status, answer and errors."""
 
     def run(*words: object) -> tuple[int, str, str]:
         with pytest.raises(SystemExit) as ended:
             main(["yield", *map(str, words)])
-        told = capsys.readouterr()
+        captured = capsys.readouterr()
         # The first command on a computer also reports that it compiles.
-        err = [line for line in told.err.splitlines(keepends=True) if _COMPILES not in line]
-        return int(ended.value.code or 0), told.out, "".join(err)
+        err = [line for line in captured.err.splitlines(keepends=True) if _COMPILES not in line]
+        return int(ended.value.code or 0), captured.out, "".join(err)
 
     return run
 
@@ -55,9 +55,9 @@ def turn(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[str]:
 
 
 @pytest.fixture
-def three(turn: list[str], said: Said) -> list[Path]:
+def three(turn: list[str], run_command: RunCommand) -> list[Path]:
     """The files of its three parts."""
-    return made_parts(said, turn, 3)
+    return made_parts(run_command, turn, 3)
 
 
 def there() -> list[str]:
@@ -65,13 +65,13 @@ def there() -> list[str]:
     return sorted(path.name for path in Path().iterdir())
 
 
-def made_parts(said: Said, words: list[str], count: int) -> list[Path]:
+def made_parts(run_command: RunCommand, words: list[str], count: int) -> list[Path]:
     """Make every part of a yield, in any order."""
     files = [Path(f"{k + 1}-of-{count}.yield") for k in range(count)]
     order = list(range(count))
     random.Random(count).shuffle(order)
     for k in order:
-        code, out, err = said(*words, "--part", f"{k + 1}/{count}", "-o", files[k])
+        code, out, err = run_command(*words, "--part", f"{k + 1}/{count}", "-o", files[k])
         assert (code, out.count("\n")) == (0, 1) and "error" not in err
     return files
 
@@ -86,8 +86,8 @@ def made_parts(said: Said, words: list[str], count: int) -> list[Path]:
     ids=["many at once", "one by one"],
 )
 def test_merged_parts_are_one_run_to_the_bit(
-    job: str, machine: str, exclude: list[str], variants: int, said: Said, tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
+    job: str, machine: str, exclude: list[str], variants: int, run_command: RunCommand,
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
 ) -> None:  # fmt: skip
     """Count, interval, table, worst machine and its file, from 3 and 16 parts in any order.
 
@@ -95,7 +95,7 @@ def test_merged_parts_are_one_run_to_the_bit(
     is the same, whole or merged.
     """
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(worst_search, "SEARCHED_ALONE", 10)
+    monkeypatch.setattr(worst_search, "SEARCHED_SERIAL", 10)
     Path("job.prg").write_text(job, encoding="utf-8")
     Path("few.toml").write_text(
         f'base = "{machine}"\nname = "few"\n[tolerances]\nexclude = {json.dumps(exclude)}\n',
@@ -111,17 +111,17 @@ def test_merged_parts_are_one_run_to_the_bit(
         return own(self, known, done)
 
     monkeypatch.setattr(MachineYield, "worst", heard)
-    one = said(*words, "--worst", "worst.toml", "--json"), Path("worst.toml").read_bytes()
+    one = run_command(*words, "--worst", "worst.toml", "--json"), Path("worst.toml").read_bytes()
     content = json.loads(one[0][1])
     assert content["variants"] == variants and content["worst"]["numbers"]
-    table = said(*words)
+    table = run_command(*words)
     for count in 3, 16:
-        files = made_parts(said, words, count)
+        files = made_parts(run_command, words, count)
         random.Random(variants).shuffle(files)
         Path("worst.toml").unlink()
-        again = said("--merge", *files, "--worst", "worst.toml", "--json")
+        again = run_command("--merge", *files, "--worst", "worst.toml", "--json")
         assert (again, Path("worst.toml").read_bytes()) == one
-    assert said("--merge", *files) == table
+    assert run_command("--merge", *files) == table
     whole, *others = [
         [
             (row.name, row.axis, row.limit, row.values.tobytes(), row.failed.tobytes())
@@ -148,10 +148,10 @@ def test_every_machine_is_in_one_part_by_its_number() -> None:
     "text",
     ["0/0", "17/16", "-1/3", "0/3", "three", "3", "", "1/3/5", "1.5/3", "²/3", "1/" + "9" * 99],
 )  # fmt: skip
-def test_malformed_part_is_refused(text: str, said: Said, turn: list[str]) -> None:
+def test_malformed_part_is_refused(text: str, run_command: RunCommand, turn: list[str]) -> None:
     with pytest.raises(OptionError):
         parse_part(text)
-    code, out, err = said(*turn, f"--part={text}", "-o", "x.yield")
+    code, out, err = run_command(*turn, f"--part={text}", "-o", "x.yield")
     assert (code, out, err.count("\n")) == (2, "", 1) and "--part" in err
     assert not Path("x.yield").exists()
 
@@ -174,15 +174,15 @@ def test_malformed_part_is_refused(text: str, said: Said, turn: list[str]) -> No
     ],
 )
 def test_options_that_do_not_go_together_are_refused(
-    words: list[str], says: str, said: Said, turn: list[str]
+    words: list[str], says: str, run_command: RunCommand, turn: list[str]
 ) -> None:
-    code, out, err = said(*turn, *words)
+    code, out, err = run_command(*turn, *words)
     assert (code, out, err.count("\n")) == (2, "", 1) and says in err
     assert there() == ["turn.prg"] and Path("turn.prg").read_text() == TURN
 
 
 def test_a_missing_a_doubled_and_a_foreign_part_are_named(
-    three: list[Path], turn: list[str], said: Said, tmp_path: Path
+    three: list[Path], turn: list[str], run_command: RunCommand, tmp_path: Path
 ) -> None:
     before = {file: file.read_bytes() for file in three}
     a, b, c = three
@@ -201,9 +201,11 @@ def test_a_missing_a_doubled_and_a_foreign_part_are_named(
     Path("other.prg").write_text(TURN.replace("X5", "X6").replace("X-5", "X-6"))
     foreign = {}
     for name, words in other.items():
-        code, _, err = said(*words, "--part", "2/3", "-o", foreign.setdefault(name, Path(name)))
+        code, _, err = run_command(
+            *words, "--part", "2/3", "-o", foreign.setdefault(name, Path(name))
+        )
         assert code == 0, err
-    said(*turn, "--part", "2/4", "-o", "four.yield")
+    run_command(*turn, "--part", "2/4", "-o", "four.yield")
     for files, says in [
         ([a, c], "1 of 3 parts missing: 2."),
         ([c], "2 of 3 parts missing: 1, 2."),
@@ -214,7 +216,7 @@ def test_a_missing_a_doubled_and_a_foreign_part_are_named(
         ([a, Path("turn.prg"), c], "turn.prg:1: a part of a yield cannot be read"),
         *(([a, file, c], f"another {name}") for name, file in foreign.items()),
     ]:
-        code, out, err = said("--merge", *files, "--worst", "worst.toml")
+        code, out, err = run_command("--merge", *files, "--worst", "worst.toml")
         assert (code, out, err.count("\n")) == (2, "", 1) and says in err
         if any(file in foreign.values() for file in files):
             assert f"'{files[1]}' belongs to another yield than '{a}'" in err
@@ -223,7 +225,7 @@ def test_a_missing_a_doubled_and_a_foreign_part_are_named(
 
 
 def test_a_part_of_other_versions_files_or_bits_is_named(
-    three: list[Path], turn: list[str], said: Said, monkeypatch: pytest.MonkeyPatch
+    three: list[Path], turn: list[str], run_command: RunCommand, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for name, key in ("numpy", "version of numpy"), ("threadline", "version of threadline"):
         with monkeypatch.context() as patch:
@@ -231,42 +233,42 @@ def test_a_part_of_other_versions_files_or_bits_is_named(
                 patch.setattr(of_command, "version", lambda _: "0.0.1")
             else:
                 patch.setattr(of_command, "__version__", "0.0.1")
-            assert said(*turn, "--part", "2/3", "-o", "old.yield")[0] == 0
+            assert run_command(*turn, "--part", "2/3", "-o", "old.yield")[0] == 0
             # All parts have the same version, and another version merges them.
-            code, _, err = said("--merge", *three)
+            code, _, err = run_command("--merge", *three)
             assert code == 2 and key in err and "than this Threadline and the files here" in err
-        code, _, err = said("--merge", three[0], "old.yield", three[2])
+        code, _, err = run_command("--merge", three[0], "old.yield", three[2])
         assert code == 2 and "'old.yield' belongs to another yield" in err and key in err
     # A computer with other bits: the last bit of the first machine differs.
     part = read_part(three[1])
     row = next(row for row in part.found.rows if row.limit is not None and (row.values > 0).any())
     row.values[0] = np.nextafter(row.values[0], 0.0)
     yield_parts.write_part(Path("bits.yield"), part.record, part.found)
-    code, out, err = said("--merge", three[0], "bits.yield", three[2])
+    code, out, err = run_command("--merge", three[0], "bits.yield", three[2])
     assert (code, out, err.count("\n")) == (2, "", 1)
     assert "part 2/3 in 'bits.yield' has other results here" in err
     # The job was changed, or is missing.
     Path("turn.prg").write_text(TURN.replace("F1000", "F900"), encoding="utf-8")
-    code, _, err = said("--merge", *three)
+    code, _, err = run_command("--merge", *three)
     assert code == 2 and "another job" in err
     Path("turn.prg").unlink()
-    code, _, err = said("--merge", *three)
+    code, _, err = run_command("--merge", *three)
     assert (code, err.count("\n")) == (2, 1) and "job 'turn.prg', and it is not here" in err
 
 
 @pytest.mark.parametrize(("given", "value"), [("--seed", "3"), ("--feed", "1 mm/s")])
 def test_a_merge_takes_its_options_from_the_parts(
-    given: str, value: str, three: list[Path], said: Said
+    given: str, value: str, three: list[Path], run_command: RunCommand
 ) -> None:
-    code, out, err = said("--merge", *three, given, value)
+    code, out, err = run_command("--merge", *three, given, value)
     assert (code, out) == (2, "") and f"{given} was given" in err
 
 
 def test_a_part_that_was_cut_is_refused_wherever_it_was_cut(
-    three: list[Path], monkeypatch: pytest.MonkeyPatch, turn: list[str], said: Said
+    three: list[Path], monkeypatch: pytest.MonkeyPatch, turn: list[str], run_command: RunCommand
 ) -> None:
     monkeypatch.setattr(yield_parts, "AT_ONCE", 1)  # one line for each machine
-    assert said(*turn, "--part", "2/3", "-o", "whole.yield")[0] == 0
+    assert run_command(*turn, "--part", "2/3", "-o", "whole.yield")[0] == 0
     whole, cut = Path("whole.yield").read_bytes(), Path("cut.yield")
     lines = {k + 1 for k, byte in enumerate(whole) if byte == 10}
     assert len(lines) == 4
@@ -278,14 +280,14 @@ def test_a_part_that_was_cut_is_refused_wherever_it_was_cut(
     with pytest.raises(RecordingError, match="should stand here"):
         read_part(cut)
     cut.write_bytes(whole[: max(lines - {len(whole)})])
-    code, _, err = said("--merge", three[0], cut, three[2])
+    code, _, err = run_command("--merge", three[0], cut, three[2])
     assert (code, err.count("\n")) == (2, 1) and "2 of its 3 machines: it is cut short" in err
 
 
 ODD: tuple[Any, ...] = (None, True, -1, 0, 0.5, 10**30, "", "x", [], [0, 0], [4, 3], {}, {"a": []})
 
 
-def test_no_changed_record_is_a_defect(three: list[Path], said: Said) -> None:
+def test_no_changed_record_is_a_defect(three: list[Path], run_command: RunCommand) -> None:
     """With a right check sum a changed record is refused in one line, or means the same."""
     first, rest = three[1].read_bytes().split(b"\n", 1)
     record = json.loads(first.partition(b" ")[2])
@@ -306,12 +308,12 @@ def test_no_changed_record_is_a_defect(three: list[Path], said: Said) -> None:
                 assert "\n" not in str(error)
             else:
                 assert place[0] == "words"
-                code, out, err = said("--merge", bad)
+                code, out, err = run_command("--merge", bad)
                 assert (code, out, err.count("\n")) == (2, "", 1)
 
 
 def test_a_full_disk_and_an_interrupt_leave_no_half_file(
-    turn: list[str], said: Said, monkeypatch: pytest.MonkeyPatch
+    turn: list[str], run_command: RunCommand, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     Path("old.yield").write_text("old", encoding="utf-8")
 
@@ -320,7 +322,7 @@ def test_a_full_disk_and_an_interrupt_leave_no_half_file(
 
     monkeypatch.setattr(yield_parts.os, "fsync", full)
     for name in "old.yield", "deep/new.yield":
-        code, out, err = said(*turn, "--part", "2/3", "-o", name)
+        code, out, err = run_command(*turn, "--part", "2/3", "-o", name)
         assert (code, out, err.count("\n")) == (2, "", 1)
         assert f"cannot use {name}: No space left on device" in err
     assert there() == ["old.yield", "turn.prg"]
@@ -329,7 +331,7 @@ def test_a_full_disk_and_an_interrupt_leave_no_half_file(
         raise KeyboardInterrupt
 
     monkeypatch.setattr(yield_parts.os, "fsync", interrupted)
-    code, out, _ = said(*turn, "--part", "2/3", "-o", "old.yield")
+    code, out, _ = run_command(*turn, "--part", "2/3", "-o", "old.yield")
     assert code == 130 and out == ""
     assert there() == ["old.yield", "turn.prg"]
     assert Path("old.yield").read_text(encoding="utf-8") == "old"
@@ -356,15 +358,17 @@ def test_a_file_size_limit_leaves_no_half_file(turn: list[str], tmp_path: Path) 
     assert there() == ["turn.prg"]
 
 
-def test_a_part_that_was_broken_off_goes_on(three: list[Path], turn: list[str], said: Said) -> None:
+def test_a_part_that_was_broken_off_goes_on(
+    three: list[Path], turn: list[str], run_command: RunCommand
+) -> None:
     words = [*turn, "--part", "2/3", "-o", "again.yield", "--resume", "state"]
-    assert said(*words)[0] == 0
+    assert run_command(*words)[0] == 0
     state = Path("state").read_bytes()
     Path("again.yield").unlink()
-    assert said(*words)[0] == 0
+    assert run_command(*words)[0] == 0
     assert Path("again.yield").read_bytes() == three[1].read_bytes()
     assert Path("state").read_bytes() == state
     # The file is the state of this part alone.
     for other in ["--part", "3/3", "-o", "x"], []:
-        code, _, err = said(*turn, *other, "--resume", "state")
+        code, _, err = run_command(*turn, *other, "--resume", "state")
         assert code == 2 and "begun with another part" in err

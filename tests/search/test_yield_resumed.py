@@ -78,12 +78,12 @@ def test_a_full_disk_loses_nothing_that_was_judged(
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (file.stat().st_size + line + 100, before[1]))
     try:
-        with pytest.raises(OptionError, match=r"cannot write .*state': File too large") as told:
+        with pytest.raises(OptionError, match=r"cannot write .*state': File too large") as caught:
             MachineYield(plan, spec).drawn(40, 3, None, state)
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
-    assert "goes on with the machines that the file holds" in (told.value.remedy or "")
-    del state, told
+    assert "goes on with the machines that the file holds" in (caught.value.remedy or "")
+    del state, caught
     gc.collect()
     again = YieldState(file, {"seed": "3"})
     assert again.known is not None and again.known.runs >= 16
@@ -98,7 +98,7 @@ def summed(body: bytes) -> bytes:
 
 
 @pytest.mark.parametrize(
-    ("change", "error", "said"),
+    ("change", "error", "message"),
     [
         (lambda text: b"not a state\n", RecordingError, "state:1: the state of a yield"),
         (lambda text: text.replace(b'"runs":5', b'"runs":4'), RecordingError, "state:2:"),
@@ -110,7 +110,7 @@ def summed(body: bytes) -> bytes:
     ],
 )
 def test_a_state_that_is_damaged_or_of_another_yield_is_refused(
-    asked: tuple[Plan, Spec], tmp_path: Path, change, error: type[Exception], said: str
+    asked: tuple[Plan, Spec], tmp_path: Path, change, error: type[Exception], message: str
 ) -> None:
     plan, spec = asked
     file = tmp_path / "state"
@@ -118,7 +118,7 @@ def test_a_state_that_is_damaged_or_of_another_yield_is_refused(
     changed = change(file.read_bytes())
     file.write_bytes(changed)
     seed = "4" if error is OptionError else "3"
-    with pytest.raises(error, match=re.escape(said)):
+    with pytest.raises(error, match=re.escape(message)):
         YieldState(file, {"seed": seed})
     assert file.read_bytes() == changed
 
@@ -226,6 +226,6 @@ def test_the_file_to_resume_is_no_other_file(
     for more in (["--resume", str(JOB)], ["--resume", both, "--worst", both], ["--resume", "/"]):
         with pytest.raises(SystemExit) as ended:
             main([*words, *more])
-        told = capsys.readouterr()
-        assert (ended.value.code, told.out, told.err.count("\n")) == (2, "", 1)
+        captured = capsys.readouterr()
+        assert (ended.value.code, captured.out, captured.err.count("\n")) == (2, "", 1)
     assert JOB.read_text().startswith(("%", "(", "N", "G", ";", "O"))

@@ -292,8 +292,8 @@ def test_the_torque_margin_is_that_of_a_frame_by_hand() -> None:
         "motor_torque_n_m": 712.0,
     }
     needed = 1150.0 * 4.5 * 0.0165 / 0.12**2 * 0.02
-    for wanted, warned in ((6.0, 0), (10.0, 1)):
-        found = size(Demands(**frame, torque_margin=wanted))
+    for expected, warned in ((6.0, 0), (10.0, 1)):
+        found = size(Demands(**frame, torque_margin=expected))
         (margin,) = (line.value for line in found.lines if line.name == "move torque margin")
         assert margin == pytest.approx(712.0 / needed, rel=1e-8)  # the rotor's share is 2e-9
         assert len(found.warnings) == warned

@@ -63,8 +63,8 @@ def test_compile_prints_the_checks_of_step_tables(
     omega = 2 * np.pi * 12.0
     pole = omega * (0.02 + 1j * np.sqrt(1 - 0.02**2))
     swung = np.exp(-pole * (window / 16e6 - times)).sum() / 480e3 / np.sqrt(1 - 0.02**2)
-    said = float(printed.split("at most ")[1].split(" mm")[0])
-    assert said == pytest.approx(abs(swung) * 1e3, rel=5e-3)
+    swing_mm = float(printed.split("at most ")[1].split(" mm")[0])
+    assert swing_mm == pytest.approx(abs(swung) * 1e3, rel=5e-3)
 
 
 @pytest.mark.parametrize("feed", [None, "60 stitch/min"])
@@ -112,8 +112,8 @@ def test_every_row_reads_as_it_was_planned(
     turns = list(struct.iter_unpack(ROW, content[12:]))
     assert len(turns) == count == manifest["turns"]
     with (folder / "rosette.stitches.csv").open(newline="") as file:
-        told = [list(map(int, row)) for row in list(csv.reader(file))[1:]]
-    assert told == [[k, *row] for k, row in enumerate(turns)]
+        read_rows = [list(map(int, row)) for row in list(csv.reader(file))[1:]]
+    assert read_rows == [[k, *row] for k, row in enumerate(turns)]
 
     # Played like a controller: the frame comes to every place of the design.
     position, free = np.zeros(2, dtype=int), 0

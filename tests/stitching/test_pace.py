@@ -64,9 +64,9 @@ def test_windows_of_all_lengths_are_those_of_each_alone() -> None:
     found = lasting_windows_s(SINE, mode, lengths, 5e-5)
     assert found[:2].tolist() == [0.0, 0.0]
     for length, window in zip(lengths[2:], found[2:], strict=True):
-        alone = ringing(SINE, mode, length, 0.05, residual=5e-5).window_s
-        assert alone is not None
-        assert window == pytest.approx(alone, rel=2e-3)
+        single = ringing(SINE, mode, length, 0.05, residual=5e-5).window_s
+        assert single is not None
+        assert window == pytest.approx(single, rel=2e-3)
         longer = np.linspace(window, 1.0, 4001)
         assert residual_m(SINE, mode, length, longer).max() <= 5e-5 * 1.001
 
@@ -122,8 +122,8 @@ def test_the_swing_of_many_moves_is_their_sum() -> None:
                 left = begin[k] + turns[k] / 3 - end + (1.0 - u) * turns[j] / 3
                 total += np.trapezoid(rise * np.exp(-pole * left), u) / pole.imag
             worst = max(worst, abs(total))
-        wanted = worst if moves.needle[k] else 0.0
-        assert found[k] == pytest.approx(wanted, rel=2e-3, abs=1e-8)
+        expected = worst if moves.needle[k] else 0.0
+        assert found[k] == pytest.approx(expected, rel=2e-3, abs=1e-8)
 
 
 @pytest.mark.long(shown_by="test_long_stitches_are_slowed_and_never_refused")
@@ -180,8 +180,8 @@ def test_a_design_that_is_planned_again_is_not_searched_again(
         return fastest_turns(*asked)
 
     monkeypatch.setattr(stitch_pace, "fastest_turns", counted)
-    ways = np.random.default_rng(6).integers(-80, 81, (2, 12, 2)).astype(np.int8)
-    for name, way in zip("ab", ways, strict=True):
+    moves = np.random.default_rng(6).integers(-80, 81, (2, 12, 2)).astype(np.int8)
+    for name, way in zip("ab", moves, strict=True):
         (tmp_path / f"{name}.exp").write_bytes(way.tobytes())
 
     def turns(name: str, tolerance_m: float) -> FloatArray:
@@ -239,19 +239,19 @@ def test_a_tolerance_that_no_speed_keeps_slows_as_far_as_the_shaft_can() -> None
 @pytest.mark.long(shown_by="test_speeds_that_keep_no_tolerance_are_said_to_be_none")
 def test_a_plan_that_keeps_no_tolerance_says_so() -> None:
     """A hundredth of a micrometre: the number of failing stitches, the worst one, and a remedy."""
-    (said,) = rosette(1e-8)[0].warnings
-    assert re.search(r"within 1e-05 mm: \d+ of 185 stitches .* at block \d, stitch \d+", said)
-    assert "larger --tolerance" in said
+    (warning,) = rosette(1e-8)[0].warnings
+    assert re.search(r"within 1e-05 mm: \d+ of 185 stitches .* at block \d, stitch \d+", warning)
+    assert "larger --tolerance" in warning
 
 
 def test_speeds_that_keep_no_tolerance_are_said_to_be_none(examples: Path) -> None:
     job = read_job(examples / "rosette.dst", MACHINE)
     assert rosette(1e-4)[0].warnings == ()
     one_speed = load_machine("schiffli-frame+one-speed")
-    (said,) = stitch(
+    (warning,) = stitch(
         read_job(examples / "rosette.dst", one_speed), one_speed, SINE, 1e-8, None
     ).warnings
-    assert "no speeds of the shaft were found" in said
+    assert "no speeds of the shaft were found" in warning
     given = stitch(job, MACHINE, SINE, 1e-8, 0.4)
     assert given.warnings == ()
 
@@ -265,8 +265,8 @@ def test_schedules_of_random_moves_end_within_the_tolerance(seed: int) -> None:
     pace = unlimited(1e-4)
     schedule = pace.scheduled(moves)
     assert pace.most_swings_m(moves, schedule.turn_s).max() <= 1e-4 * (1 + 1e-6)
-    alone_s = float(pace.needed_turns_s(moves).sum())
-    assert schedule.bound_s <= schedule.turn_s.sum() < 1.1 * alone_s
+    needed_s = float(pace.needed_turns_s(moves).sum())
+    assert schedule.bound_s <= schedule.turn_s.sum() < 1.1 * needed_s
 
 
 @pytest.mark.long(shown_by="test_schedules_of_random_moves_end_within_the_tolerance")
@@ -284,7 +284,7 @@ def test_the_beam_finds_the_fastest_of_all_schedules() -> None:
         found = fastest_turns(
             grid,
             pace.swings_of(grid),
-            TurnMoves(ways_m=units * 1e-4, needle=moves.needle, shortest_s=shortest_s),
+            TurnMoves(travels_m=units * 1e-4, needle=moves.needle, shortest_s=shortest_s),
             1e-4,
             pace.share,
         )
@@ -338,9 +338,9 @@ def robust_schedule(design: Path) -> Stitched:
 
 
 def test_a_robust_schedule_of_six_stitches_holds_all_over_the_tolerances(tmp_path: Path) -> None:
-    ways = np.random.default_rng(4).integers(5, 81, (6, 2)) * np.array([1, -1])
+    moves = np.random.default_rng(4).integers(5, 81, (6, 2)) * np.array([1, -1])
     design = tmp_path / "six.exp"
-    design.write_bytes(ways.astype(np.int8).tobytes())
+    design.write_bytes(moves.astype(np.int8).tobytes())
     stitched = robust_schedule(design)
     job = read_job(design, MACHINE)
     exact = stitch(job, MACHINE, SINE, 1e-4, None)
@@ -390,8 +390,8 @@ def test_a_shaft_that_cannot_vary_takes_the_highest_speed_that_is_still_enough(
     assert 0.4 < turn_s < stitched.slowest_s / len(stitched.turns) * 1.1
     faster = np.full(len(stitched.turns), turn_s / 1.03)
     assert stitched.pace.most_swings_m(stitched.turns.moves, faster).max() > 1e-4
-    said = dict(stitch_rows(proof.plan))["Speed"]
-    assert said.startswith("one for the whole design, which the spindle cannot vary")
+    speed_text = dict(stitch_rows(proof.plan))["Speed"]
+    assert speed_text.startswith("one for the whole design, which the spindle cannot vary")
 
 
 def test_printed_speed_limit_holds_for_a_plan_at_one_speed(examples: Path) -> None:
@@ -456,8 +456,8 @@ def test_a_stitch_between_two_units_is_named_by_its_own_line(examples: Path) -> 
     targets, unit_m = run.targets.copy(), 1e-4
     x_m, y_m = targets[1] = targets[1] + [0.0, 0.25 * unit_m]
     runs[at] = replace(run, targets=targets, line=np.arange(4, 4 + len(run)))
-    said = rf"a stitch at {x_m * 1e3:g}, {y_m * 1e3:g} mm is between the units of 0\.1 mm"
-    with pytest.raises(PlanError, match=said) as caught:
+    message = rf"a stitch at {x_m * 1e3:g}, {y_m * 1e3:g} mm is between the units of 0\.1 mm"
+    with pytest.raises(PlanError, match=message) as caught:
         stitch(replace(job, operations=Stream.of(runs)), MACHINE, SINE, 5e-5, None)
     assert "rosette.dst:5:" in str(caught.value)
 

@@ -52,7 +52,7 @@ def swung() -> Swung:
 
 def limits(turns: int, needle: tuple[int, ...] | None = None) -> Limits:
     return Limits(
-        ways_m=WAYS_M[:turns],
+        travels_m=WAYS_M[:turns],
         needle=np.array(needle or (1,) * turns, dtype=np.int64),
         shortest_s=np.full(turns, 0.36),
         slowest_s=0.59,
@@ -78,7 +78,7 @@ def cost_s(turn_s: np.ndarray, asked: Limits, all_modes: bool) -> float:
         if k:
             rest = 2.0 * (1.0 - SHARE) / (1.0 / turn_s[k - 1] + 1.0 / time)
             now = now * np.exp(poles * (rest + SHARE * time))
-        now = now + asked.ways_m[k, axis] * fresh[k]
+        now = now + asked.travels_m[k, axis] * fresh[k]
         worst = float(np.abs(now).max()) / 1e-4 - 1.0
         if asked.needle[k]:
             if worst > MOST:

@@ -36,7 +36,7 @@ def test_an_empty_design(
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
+    ("change", "message"),
     [
         ('[shaft]\nwindow = "0 deg exact, assumed"', "must be greater than zero"),
         ('[shaft]\nwindow = "0.001 deg exact, assumed"', "into one period of the timer"),
@@ -44,11 +44,11 @@ def test_an_empty_design(
     ],
 )
 def test_a_window_too_short_for_the_timer_and_a_frame_that_hangs_on_nothing(
-    change: str, said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    change: str, message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     file = tmp_path / "odd.toml"
     file.write_text(f'base = "schiffli-frame"\nname = "odd"\n{change}\n', encoding="utf-8")
-    assert said in refused(capsys, "prove", str(ROSETTE), "-m", str(file))
+    assert message in refused(capsys, "prove", str(ROSETTE), "-m", str(file))
 
 
 @pytest.mark.parametrize("feed", ["0 stitch/min", "-5 stitch/min", "400 stitch/min"])
@@ -64,8 +64,8 @@ def test_a_design_that_leads_nowhere_is_refused(
     """Twenty stitches in one place, or one stitch alone, move nothing that could be judged."""
     file = tmp_path / "still.exp"
     file.write_bytes(records)
-    said = refused(capsys, "prove", str(file), "-m", "schiffli-frame")
-    assert f"the needle enters {count} times, all in one place" in said
+    message = refused(capsys, "prove", str(file), "-m", "schiffli-frame")
+    assert f"the needle enters {count} times, all in one place" in message
 
 
 @pytest.mark.parametrize("suffix", ["jef", "pes", "vp3", "xxx"])
@@ -76,8 +76,8 @@ def test_a_damaged_design_names_the_byte_and_no_error_of_its_reader(
     file = tmp_path / f"cut.{suffix}"
     begun = {"pes": b"#PES0001\x00", "vp3": b"%vsm%\x00\x00\x38P"}
     file.write_bytes(begun.get(suffix, b"\x80" * 9))
-    said = refused(capsys, "prove", str(file), "-m", "schiffli-frame")
-    assert "byte 9" in said and "Error" not in said
+    message = refused(capsys, "prove", str(file), "-m", "schiffli-frame")
+    assert "byte 9" in message and "Error" not in message
 
 
 @pytest.mark.long(shown_by="test_a_damaged_design_names_the_byte_and_no_error_of_its_reader")
@@ -86,8 +86,8 @@ def test_a_card_is_not_named_as_another_format(
 ) -> None:
     """The ending names the format, so a card with the ending of another could not be read again."""
     asked = ["compile", str(ROSETTE), "-m", "schiffli-frame", "--target", "t15", "-o"]
-    said = refused(capsys, *asked, str(tmp_path / "card.dst"))
-    assert "card.t15" in said and "ends in .dst" in said
+    message = refused(capsys, *asked, str(tmp_path / "card.dst"))
+    assert "card.t15" in message and "ends in .dst" in message
     assert not list(tmp_path.iterdir())
     for name, warned in (("card", 1), ("card.T15", 0)):
         with pytest.raises(SystemExit) as left:

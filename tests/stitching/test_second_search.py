@@ -27,11 +27,11 @@ def test_schedule_keeps_the_tolerance_of_the_swing() -> None:
     """At each entry of the needle scipy's frame swings at most by the tolerance."""
     machine = machine_of("schiffli-frame")
     assert machine.shaft is not None and machine.shaft.acceleration is not None
-    ways = np.zeros((len(LENGTHS), 2))
-    ways[:, 0] = np.array(LENGTHS) * 1e-4
+    moves = np.zeros((len(LENGTHS), 2))
+    moves[:, 0] = np.array(LENGTHS) * 1e-4
     share, tolerance_m = 1.0 / 3.0, 1e-4
     problem = Problem(
-        ways_m=ways,
+        travels_m=moves,
         needle=np.ones(len(LENGTHS), dtype=np.int64),
         shortest_s=np.full(len(LENGTHS), 0.36),
         share=share,
@@ -48,7 +48,7 @@ def test_schedule_keeps_the_tolerance_of_the_swing() -> None:
     turned = np.sqrt(omega**2 - decay**2)
     state, left = np.zeros(2), []
     for k, turn in enumerate(turn_s):
-        window, way = share * turn, ways[k, 0]
+        window, way = share * turn, moves[k, 0]
 
         def rates(t: float, x: np.ndarray, window: float = window, way: float = way) -> list[float]:
             base = way / window**2 * float(modified_sine(np.array(t / window)))

@@ -33,10 +33,10 @@ SPEC = load_spec(None, MACHINE)
 def design(tmp_path: Path) -> Path:
     """Write an EXP design of ten stitches of 0.5 to 8 mm; a record is two signed bytes."""
     random = np.random.default_rng(4)
-    ways = random.integers(5, 81, (10, 2)) * random.choice([-1, 1], (10, 2))
+    moves = random.integers(5, 81, (10, 2)) * random.choice([-1, 1], (10, 2))
     file = tmp_path / "ten.exp"
     # 0x80 would be a command; it is -128, and no move here is that long.
-    file.write_bytes(ways.astype(np.int8).tobytes())
+    file.write_bytes(moves.astype(np.int8).tobytes())
     return file
 
 
@@ -128,7 +128,7 @@ def test_the_forecast_of_this_machine_spares_no_run_of_other_machines(
 ) -> None:
     """Everything is far within, and still every speed is judged in all runs, the inner ones too."""
     drawn = other == "drawn machines"
-    wanted = Trials(repeats=4, machines=2 if drawn else 0)
+    expected = Trials(repeats=4, machines=2 if drawn else 0)
     criteria = tuple(
         replace(c, limit=1e-3) if c.name == "stitch_residual" else c for c in SPEC.criteria
     )
@@ -148,13 +148,13 @@ def test_the_forecast_of_this_machine_spares_no_run_of_other_machines(
             options=Options(),
             low=0.998,
             high=1.002,
-            trials=wanted,
+            trials=expected,
             actual=None if drawn else MACHINE,
         ),
         Grid(points=3, near=0, edge=5e-3),
     )
     assert len(asked) > 2
-    assert all(wanted in trials for trials in asked.values())
+    assert all(expected in trials for trials in asked.values())
 
 
 @dataclass(frozen=True)

@@ -42,13 +42,13 @@ def test_shortened_schedule_keeps_the_tolerance_by_an_independent_sum(
 ) -> None:
     """The sum takes modes 0.3 % apart over +-5 %, and 0.7, 1 and 1.3 times the damping."""
     moves, turn_s = passage
-    ways_m = np.asarray(moves.units * 1e-4, dtype=np.float64)
+    travels_m = np.asarray(moves.units * 1e-4, dtype=np.float64)
     left_m = swings_left(
-        frames(MACHINE, 0.25, 0.003, (0.7, 1.0, 1.3)), ways_m, moves.needle, turn_s, 1.0 / 3.0
+        frames(MACHINE, 0.25, 0.003, (0.7, 1.0, 1.3)), travels_m, moves.needle, turn_s, 1.0 / 3.0
     )
     assert 0.95e-4 < left_m <= 1.001e-4
     assert np.abs(np.diff(turn_s**-2.0)).max() <= CHANGE * (1.0 + 1e-9)
-    assert (turn_s >= shortest_turns(MACHINE, ways_m) * (1.0 - 1e-9)).all()
+    assert (turn_s >= shortest_turns(MACHINE, travels_m) * (1.0 - 1e-9)).all()
 
 
 @pytest.mark.long(shown_by="test_a_passage_between_the_speeds_of_the_grid_is_found")
@@ -58,6 +58,6 @@ def test_no_stitch_of_a_whole_design_is_left_over_the_tolerance() -> None:
     moves = stitch(read_job(file, MACHINE), MACHINE, SINE, 1e-4, 0.6).turns.moves
     turn_s = Pace(MACHINE, SINE, 1e-4, 0.25).scheduled(moves).turn_s
     assert total_s(turn_s, 1.0 / 3.0) <= 1.02 * 110.6
-    ways_m = np.asarray(moves.units * 1e-4, dtype=np.float64)
+    travels_m = np.asarray(moves.units * 1e-4, dtype=np.float64)
     modes = frames(MACHINE, 0.25, 0.003, (0.7, 1.0, 1.3))
-    assert swings_left(modes, ways_m, moves.needle, turn_s, 1.0 / 3.0) <= 1.001e-4
+    assert swings_left(modes, travels_m, moves.needle, turn_s, 1.0 / 3.0) <= 1.001e-4

@@ -106,9 +106,9 @@ def test_steps_are_placed_exactly_in_time(stretched: float) -> None:
                 kept.setdefault(float(t), (value, p))
             z = found.y[:, -1]
         now, p = due, p + sign * step
-    wanted = np.array([kept[float(t)] for t in times])
-    assert np.abs(load - 1e-3 - wanted[:, 0]).max() < 1e-13
-    assert np.abs(commanded - 1e-3 - wanted[:, 1]).max() < 1e-15
+    expected = np.array([kept[float(t)] for t in times])
+    assert np.abs(load - 1e-3 - expected[:, 0]).max() < 1e-13
+    assert np.abs(commanded - 1e-3 - expected[:, 1]).max() < 1e-15
 
 
 @pytest.mark.parametrize("frequency", [8.0, 12.0, 25.0])

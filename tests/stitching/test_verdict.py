@@ -132,14 +132,14 @@ def test_every_stitch_is_a_row_of_a_table(tmp_path: Path) -> None:
         for name, scale in (("stitch_residual {} [mm]", 1e-3), ("servo_force {}", 1.0)):
             worst = max(rows, key=lambda row: float(row[name.format(axis)]))
             found = verdict.result(name.split()[0], axis)
-            told = float(worst[name.format(axis)]) * scale
-            assert told == pytest.approx(found.measured, rel=1e-5)
+            reported = float(worst[name.format(axis)]) * scale
+            assert reported == pytest.approx(found.measured, rel=1e-5)
             assert found.note.startswith(f"block {worst['block']}, stitch {worst['stitch']}")
             assert int(worst["record"]) == found.job_line
-        ways = np.diff([float(row[f"{axis} [mm]"]) for row in rows])
+        moves = np.diff([float(row[f"{axis} [mm]"]) for row in rows])
         sewn = [float(row[f"move {axis} [mm]"]) for row in rows[1:]]
         # Between two blocks the frame travels: a turn without a stitch.
-        assert np.isclose(ways, sewn, atol=1e-6).sum() >= len(sewn) - 1
+        assert np.isclose(moves, sewn, atol=1e-6).sum() >= len(sewn) - 1
     used = max(float(row["window_use"]) for row in rows)
     # The largest of all may be a travel's; the table has five digits.
     assert 0.3 < used <= verdict.result("window_use").measured * (1.0 + 1e-5)

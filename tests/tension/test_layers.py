@@ -93,9 +93,9 @@ def test_the_brake_follows_the_program(plan: Plan, recorded: Recording) -> None:
         Path(plan.job.file),
         replace(plan.machine, mounted=None, spool=replace(spool, most_torque=None)),
     )
-    alone = simulate(fixed.commands, fixed.machine).samples("tension")[1]
+    one_by_one = simulate(fixed.commands, fixed.machine).samples("tension")[1]
     for rows in parts:
-        assert alone[rows].mean() == pytest.approx(spool.tension_n, rel=0.01)
+        assert one_by_one[rows].mean() == pytest.approx(spool.tension_n, rel=0.01)
 
 
 def test_fibre_is_tied_under_the_tension_of_the_first_layer(recorded: Recording) -> None:
@@ -175,7 +175,7 @@ def test_a_simulated_run_on_another_machine_winds_the_same_mandrel(
     spool = load_machine("lathe-winder+spool")
     planned_on = with_mandrel(spool, product_text(VESSEL))
     assert planned_on.mounted is not None
-    for name, wanted in (("lathe-winder+spool", planned_on.mounted), ("lathe-winder", None)):
+    for name, expected in (("lathe-winder+spool", planned_on.mounted), ("lathe-winder", None)):
         link = links.SimLink(0.0, None, load_machine(name))
         with link._connected(planned_on, np.zeros(3, dtype=np.int64)):
-            assert seen[-1].mounted is wanted
+            assert seen[-1].mounted is expected

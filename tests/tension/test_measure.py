@@ -96,9 +96,9 @@ def test_a_rest_between_counts(plan: Plan, whole: Recording, spec: Spec) -> None
 
 
 def test_without_the_channel_it_is_not_measured(plan: Plan, whole: Recording, spec: Spec) -> None:
-    kept = tuple(c for c in whole.channels if c.kind is not ChannelKind.TENSION)
+    channels = tuple(c for c in whole.channels if c.kind is not ChannelKind.TENSION)
     for simulated in (True, False):
-        found = measured(replace(whole, channels=kept, simulated=simulated), plan, spec)
+        found = measured(replace(whole, channels=channels, simulated=simulated), plan, spec)
         assert found.status is Status.NOT_MEASURED
         assert 'a column "tension" gives it' in found.note
 
@@ -162,7 +162,7 @@ def test_numbers_of_the_spool_vary_over_tolerances_and_runs(plan: Plan, spec: Sp
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message"),
     [
         ('[tool]\nkind = "none"', ""),
         ('[spool]\nstiction = "0.1 N m exact, assumed"', "stiction, 0.1 N m, is below torque"),
@@ -171,16 +171,16 @@ def test_numbers_of_the_spool_vary_over_tolerances_and_runs(plan: Plan, spec: Sp
         ('[spool]\nbrake = "0.1 N m exact, assumed"', "brake"),
     ],
 )
-def test_a_wrong_spool_is_refused_by_file_and_line(tmp_path: Path, text: str, said: str) -> None:
+def test_a_wrong_spool_is_refused_by_file_and_line(tmp_path: Path, text: str, message: str) -> None:
     file = tmp_path / "mine.toml"
-    if not said:
+    if not message:
         file.write_text('base = "stitcher"\nname = "mine"\n' + _SPOOL)
-        said = "spool: its fibre needs the eye of a winder"
+        message = "spool: its fibre needs the eye of a winder"
     else:
         file.write_text(f'base = "lathe-winder+spool"\nname = "mine"\n{text}\n')
     with pytest.raises(MachineError) as refused:
         load_machine(str(file))
-    assert said in str(refused.value)
+    assert message in str(refused.value)
     assert "mine.toml" in str(refused.value)
 
 

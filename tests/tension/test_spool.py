@@ -80,15 +80,15 @@ def test_a_brake_set_anew_between_two_layers_is_that_of_dop853() -> None:
     reference = Reference(SPOOL, lambda t: float(np.interp(t, at, speeds)))
     row = numbers_of(SPOOL)
     steps = int(steps_in(MACHINE, row[None], TICK_S)[0])
-    state, found, wanted = drawn(row[None])[0], [], []
+    state, found, expected = drawn(row[None])[0], [], []
     for k, (before, after) in enumerate(pairwise(speeds)):
         if k == change:
             row[TORQUE] = torques[1]
             reference.n = replace(SPOOL, torque=torques[1], stiction=torques[1])
         unwind(state, row, 0.5 * (before + after) * TICK_S, after, TICK_S, steps)
         found.append(state[TENSION])
-        wanted += reference.advance(at[k + 1 : k + 2]).tolist()
-    error = np.abs(np.array(found) - np.array(wanted))
+        expected += reference.advance(at[k + 1 : k + 2]).tolist()
+    error = np.abs(np.array(found) - np.array(expected))
     assert np.mean(found[:change]) - np.mean(found[-300:]) > 0.5
     assert error.max() < 2e-3
 
@@ -161,11 +161,11 @@ def test_guides_raise_the_tension_while_the_fibre_runs_out_and_lower_it_while_it
     for _ in range(10):
         unwind(state, row, -2e-4, -0.04, TICK_S, 20)
     assert state[DRAGS] == -1.0
-    alone = drawn(numbers_of(SPOOL)[None])[0]
+    one_by_one = drawn(numbers_of(SPOOL)[None])[0]
     for _ in range(10):
-        unwind(alone, numbers_of(SPOOL), -2e-4, -0.04, TICK_S, 20)
-    assert state[TENSION] == pytest.approx(alone[TENSION] / 1.25, rel=1e-9)
-    assert alone[TENSION] < pull
+        unwind(one_by_one, numbers_of(SPOOL), -2e-4, -0.04, TICK_S, 20)
+    assert state[TENSION] == pytest.approx(one_by_one[TENSION] / 1.25, rel=1e-9)
+    assert one_by_one[TENSION] < pull
 
 
 _KNOT = 40  # ticks
@@ -199,13 +199,13 @@ def test_against_dop853_with_events(spool: Numbers, seed: int) -> None:
     speeds = _way(seed, 30)
     at = TICK_S * np.arange(len(speeds))
     reference = Reference(spool, lambda t: float(np.interp(t, at, speeds)))
-    wanted = np.concatenate(
+    expected = np.concatenate(
         [reference.advance(at[k + 1 : k + 1 + _KNOT]) for k in range(0, len(at) - 1, _KNOT)]
     )
     states = ran(spool, speeds, begun=True)
     assert reference.changes > 5
-    assert wanted.max() > 5.0
-    assert np.abs(states[:, TENSION] - wanted).max() < 2e-3
+    assert expected.max() > 5.0
+    assert np.abs(states[:, TENSION] - expected).max() < 2e-3
 
 
 def test_the_error_is_of_fourth_order_in_the_step() -> None:

@@ -103,7 +103,7 @@ def test_the_tension_follows_from_the_real_positions(plan: Plan, recorded: Recor
         travel=arm.travel.si, release=arm.release.si,
     )  # fmt: skip
     reference = Reference(numbers, length.derivative())
-    wanted = np.concatenate([reference.advance(times[k : k + 40]) for k in range(1, 1161, 40)])
+    expected = np.concatenate([reference.advance(times[k : k + 40]) for k in range(1, 1161, 40)])
     friction = spool.friction
     assert friction is not None
     drawn = length.derivative()(times[1:1161]) > 5e-3
@@ -111,7 +111,7 @@ def test_the_tension_follows_from_the_real_positions(plan: Plan, recorded: Recor
     own = tension[1:1161][drawn] / (1.0 + friction.si)
     assert drawn.sum() > 500
     assert np.ptp(own) > 0.1
-    assert np.abs(own - wanted[drawn]).max() < 0.02
+    assert np.abs(own - expected[drawn]).max() < 0.02
 
 
 def test_pieces_and_pickles_of_a_session_do_not_matter(
@@ -154,8 +154,8 @@ def test_runs_side_by_side_are_those_of_each_day(
             supply=float(days.supply[day]),
             tension=float(days.tension[day]),
         )
-        alone = simulate(beginning, one, settle_s=0.1)
-        assert np.array_equal(tension[:, day], alone.samples("tension")[1])
+        single = simulate(beginning, one, settle_s=0.1)
+        assert np.array_equal(tension[:, day], single.samples("tension")[1])
     middle = np.median(tension, axis=0)
     assert np.corrcoef(middle, days.tension)[0, 1] > 0.5
 

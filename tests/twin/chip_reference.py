@@ -146,11 +146,11 @@ def run(
             seen = axis.read(y)
             seen = np.floor(seen + 0.5) if quantised else seen
             row = int(now // REFERENCE)
-            wanted = travelled[row]
+            expected = travelled[row]
             if profile is not None:
-                wanted = profile(int(wanted), int(travelled[max(row - 1, 0)]))
-                wanted = np.floor(wanted) if quantised else wanted
-            error = wanted - seen
+                expected = profile(int(expected), int(travelled[max(row - 1, 0)]))
+                expected = np.floor(expected) if quantised else expected
+            error = expected - seen
             out = b0 * error + b1 * e[0] + b2 * e[1] - a1 * u[0] - a2 * u[1]
             level = np.clip(np.rint(out) if quantised else out, -128, 127)
             e = [error, e[0]]
@@ -171,11 +171,11 @@ class IntegralVelocity:
     at: float = 0.0
 
     def __call__(self, reference: int, before: int) -> float:
-        wanted = (reference - before) * float(FILTER / REFERENCE)
+        expected = (reference - before) * float(FILTER / REFERENCE)
         if self.whole:
-            wanted = min(127, max(-128, round(wanted)))
+            expected = min(127, max(-128, round(expected)))
         most = self.acceleration / 256
-        self.speed = min(self.speed + most, max(self.speed - most, wanted))
+        self.speed = min(self.speed + most, max(self.speed - most, expected))
         self.at += self.speed
         return self.at
 

@@ -118,8 +118,8 @@ def reference_run(
             if now % loop.period == 0:
                 axis = owner.get(loop.name)
                 way = np.zeros(1) if axis is None else travelled[axis]
-                wanted = float(way[min(at, len(way) - 1)])
-                _act(machine, plant, loop, wanted, (phases or {}).get(axis, 0.5), quantised, now)
+                expected = float(way[min(at, len(way) - 1)])
+                _act(machine, plant, loop, expected, (phases or {}).get(axis, 0.5), quantised, now)
             if now in loop.arriving:
                 _arrive(machine, plant, loop, loop.arriving.pop(now))
         if then is not None:
@@ -137,9 +137,9 @@ def _seen(machine, plant, controller, phase, quantised) -> float:
     return float(ROUND[sensor.rounding](exact + phase - 0.5))
 
 
-def _act(machine, plant, loop, wanted, phase, quantised, now) -> None:
+def _act(machine, plant, loop, expected, phase, quantised, now) -> None:
     controller = machine.controllers[loop.name]
-    e = wanted - _seen(machine, plant, controller, phase, quantised)
+    e = expected - _seen(machine, plant, controller, phase, quantised)
     (b0, b1, b2), (a1, a2) = loop.b, loop.a
     u = b0 * e + b1 * loop.errors[0] + b2 * loop.errors[1]
     u -= a1 * loop.outputs[0] + a2 * loop.outputs[1]

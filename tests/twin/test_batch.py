@@ -24,8 +24,8 @@ def test_batch_is_the_scalar_twin(belt_axis, table):
         options=BatchOptions(channels=("X.load", "X.current"), quantised=False),
     )
     for index, value in enumerate(friction):
-        alone = belt_axis(bodies_head=line.format(value))
-        recording = simulate(table(alone, {"X": ROWS}), alone, quantised=False)
+        single = belt_axis(bodies_head=line.format(value))
+        recording = simulate(table(single, {"X": ROWS}), single, quantised=False)
         for channel in ("X.load", "X.current"):
             np.testing.assert_allclose(
                 batch.samples[channel][:, index], recording.samples(channel)[1], atol=1e-9 / 5e2
@@ -50,12 +50,12 @@ def test_wide_batch_is_the_scalar_twin(belt_axis, table, quantised):
     )
     assert batch.events > 500
     for index in (0, 7, 33, 69):
-        alone = belt_axis(
+        single = belt_axis(
             drives_m=limit,
             bodies_head=f'inertia = "{float(inertia[index])!r} kg exact, assumed"\n'
             'friction = "3 N exact, assumed"',
         )
-        recording = simulate(commands, alone, quantised=quantised)
+        recording = simulate(commands, single, quantised=quantised)
         for channel, values in batch.samples.items():
             np.testing.assert_array_equal(values[:, index], recording.samples(channel)[1])
 
@@ -82,9 +82,9 @@ def test_lanes_in_several_modes(table):
     together = run(inertia)
     assert together.events > 16
     for index in (0, 6, 15):
-        alone = run(inertia[index : index + 1])
+        one_by_one = run(inertia[index : index + 1])
         for channel in channels:
-            one, other = together.samples[channel][:, index], alone.samples[channel][:, 0]
+            one, other = together.samples[channel][:, index], one_by_one.samples[channel][:, 0]
             np.testing.assert_allclose(one, other, rtol=0, atol=1e-9 / 2.6e5)
     assert np.ptp(together.samples["X.load"][-1]) > 1e-6
 

@@ -76,8 +76,8 @@ def test_integral_velocity_is_constant(table, tmp_path):
     given = np.full(400, 51)  # 6.94 counts per tick
     recording = simulate(table(machine, {"X": given}), machine)
     _, measured = recording.samples("X.measured")
-    wanted = 7 / TICK * 0.1 * COUNT_M
-    assert measured[399] - measured[299] == pytest.approx(wanted, abs=10 * COUNT_M)
+    expected = 7 / TICK * 0.1 * COUNT_M
+    assert measured[399] - measured[299] == pytest.approx(expected, abs=10 * COUNT_M)
 
 
 @pytest.mark.parametrize("quantised", [False, True])

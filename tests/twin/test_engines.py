@@ -58,7 +58,7 @@ def test_runs_that_share_an_engine_do_not_touch_each_other() -> None:
     def loads(recording) -> np.ndarray:
         return np.concatenate([block.samples["X.load"] for block in recording])
 
-    alone = [loads(simulate(table, WINDER)) for table in tables]
+    one_by_one = [loads(simulate(table, WINDER)) for table in tables]
     both = [iter(simulate(table, WINDER)) for table in tables]
     turns: list[list[np.ndarray]] = [[], []]
     for blocks in zip(*both, strict=False):
@@ -66,4 +66,4 @@ def test_runs_that_share_an_engine_do_not_touch_each_other() -> None:
             turns[k].append(block.samples["X.load"])
     for k, rest in enumerate(both):
         turns[k] += [block.samples["X.load"] for block in rest]
-        assert np.concatenate(turns[k]).tolist() == alone[k].tolist()
+        assert np.concatenate(turns[k]).tolist() == one_by_one[k].tolist()

@@ -51,13 +51,13 @@ def test_each_run_is_that_of_its_own_to_the_bit(project: Path) -> None:
     beside = simulate_position_runs(table, machines, encoder_phase=phases)
     assert beside is not None and beside.runs == 4
     for number, (one, phase) in enumerate(zip(machines, phases, strict=True), start=1):
-        alone = simulate(table, one, encoder_phase=phase)
+        single = simulate(table, one, encoder_phase=phase)
         same = beside.run(number)
-        for channel in alone.channels:
-            expected, found = alone.samples(channel.name), same.samples(channel.name)
+        for channel in single.channels:
+            expected, found = single.samples(channel.name), same.samples(channel.name)
             np.testing.assert_array_equal(found[0], expected[0])
             np.testing.assert_array_equal(found[1], expected[1])
-        assert alone.outcome() == same.outcome()
+        assert single.outcome() == same.outcome()
     # Otherwise nothing would be compared.
     shares = [beside.run(n).samples("X.torque_share")[1].max() for n in (1, 2, 3)]
     assert len(set(shares)) == 3
@@ -70,11 +70,11 @@ def test_the_judge_finds_the_same_side_by_side(project: Path) -> None:
     spec = load_spec(project / "spec.toml", machine)
     beside = simulate_position_runs(table, others(machine), encoder_phase=phases)
     assert beside is not None
-    alone = [
+    one_by_one = [
         simulate(table, one, encoder_phase=phase)
         for one, phase in zip(others(machine), phases, strict=True)
     ]
-    together, single = (Judge(plan, spec).verdict(rows) for rows in ([beside], alone))
+    together, single = (Judge(plan, spec).verdict(rows) for rows in ([beside], one_by_one))
     assert together.results and together.runs == single.runs == 4
     assert [replace(one, note="") for one in together.results] == [
         replace(one, note="") for one in single.results

@@ -159,12 +159,12 @@ def test_a_rotor_takes_its_time_for_a_step_that_comes_within_a_microsecond(
     )
     usual, fine = load_machine("stepper-winder"), load_machine(str(file))
     counts = stroke()
-    ways = np.interp(
+    moves = np.interp(
         np.arange(240 * per_ms + 1) / per_ms,
         np.arange(241),
         np.concatenate([[0], np.cumsum(counts)]),
     )
-    rows = np.diff(np.floor(ways + 0.5)).astype(np.int64)
+    rows = np.diff(np.floor(moves + 0.5)).astype(np.int64)
     coarse = simulate(table(usual, counts), usual, settle_s=0.05)
     found = simulate(table(fine, rows), fine, settle_s=0.05)
     there, here = coarse.samples("X.load")[1], found.samples("X.load")[1][::per_ms]
@@ -272,9 +272,11 @@ def test_machine_without_loops_passes_the_stability_check(machine: Machine) -> N
     assert unstable_loops(machine) == []
     with pytest.raises(OptionError, match=r"axis X of 'stepper-winder' has no loop: drives\.x"):
         axis_loop(machine, "X")
-    said = analyse_moving(machine, "X")
-    assert said.as_json()["modes_hz"] == [pytest.approx(np.sqrt(K / MASS) / (2 * np.pi), rel=1e-3)]
-    assert "has no loop" in said.verdict()
+    output = analyse_moving(machine, "X")
+    assert output.as_json()["modes_hz"] == [
+        pytest.approx(np.sqrt(K / MASS) / (2 * np.pi), rel=1e-3)
+    ]
+    assert "has no loop" in output.verdict()
 
 
 def test_parts_that_are_not_linear_are_refused_by_name(machine: Machine) -> None:

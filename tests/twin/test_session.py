@@ -104,9 +104,9 @@ def test_stops_answered_at_once_change_nothing(sticking, table):
     expected, _ = collected(simulate(plain, sticking))
     for answers in (None, repeat(0.0)):
         commands = with_events(plain, *events)
-        found, told = collected(simulate(commands, sticking, answers=answers))
+        found, text = collected(simulate(commands, sticking, answers=answers))
         assert_same(found, expected)
-        assert [e.tick for e in told if e.kind == "stop"] == [0, 31, len(ROWS)]
+        assert [e.tick for e in text if e.kind == "stop"] == [0, 31, len(ROWS)]
 
 
 def test_an_unanswered_stop_ends_the_recording(sticking, table):

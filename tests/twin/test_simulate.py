@@ -233,11 +233,11 @@ def test_rounding_is_the_machine_files(encoder, dac, table):
     scale = machine.axes["X"].counts.si
     exact = recording.samples("X.load")[1] * scale
     read = np.rint(recording.samples("X.measured")[1] * scale)
-    ways = {"nearest": lambda x: np.floor(x + 0.5), "floor": np.floor, "truncate": np.trunc}
-    np.testing.assert_array_equal(read, ways[encoder](exact))
+    moves = {"nearest": lambda x: np.floor(x + 0.5), "floor": np.floor, "truncate": np.trunc}
+    np.testing.assert_array_equal(read, moves[encoder](exact))
     error = np.rint(recording.samples("X.commanded")[1] * scale) - read
     asked = 0.37130517 * error + 4.0 * np.diff(error, prepend=0.0)
-    given = {**ways, "nearest": np.rint}[dac](asked)
+    given = {**moves, "nearest": np.rint}[dac](asked)
     # A sample is taken before the controller acts: it shows the level of the previous tick.
     levels = recording.samples("X.voltage")[1] / output.volt_per_level
     np.testing.assert_allclose(levels[1:], given[:-1], atol=1e-9)

@@ -112,23 +112,23 @@ def test_runs_side_by_side_have_the_figures_that_they_have_alone(runs: int, name
     rng = np.random.default_rng(runs)
     spec = spec_of(Criterion(name=name, limit=5e-4))
     plan = plan_through(points, ("X",), move_s=move_s(operation))
-    alone = []
+    one_by_one = []
     for _ in range(runs):
         off = rng.normal(0.0, 2e-4) * np.sin(np.arange(len(load)) / 9.0)[:, None]
         channels = {
             ChannelKind.LOAD: load + off,
             ChannelKind.VELOCITY: pace * rng.uniform(0.9, 1.1),
         }
-        alone.append(record(("X",), channels, operation, per_block=50))
+        one_by_one.append(record(("X",), channels, operation, per_block=50))
     blocks = []
-    for parts in zip(*alone, strict=True):
+    for parts in zip(*one_by_one, strict=True):
         samples = {
             n: values if n == "operation" else np.stack([part.samples[n] for part in parts], axis=1)
             for n, values in parts[0].samples.items()
         }
         blocks.append(RecordingBlock(first_tick=parts[0].first_tick, samples=samples))
-    together = replace(alone[0], blocks=Stream.of(blocks), runs=runs)
-    each = [judge([one], plan, spec).results[0].measured for one in alone]
+    together = replace(one_by_one[0], blocks=Stream.of(blocks), runs=runs)
+    each = [judge([one], plan, spec).results[0].measured for one in one_by_one]
     assert judge([together], plan, spec).results[0].measured == max(one or 0.0 for one in each)
 
 

@@ -141,7 +141,7 @@ def test_runs_side_by_side_have_the_figures_that_they_have_alone(runs: int, per_
     )
     paces = pace[:, None] * rng.uniform(0.9, 1.1, (1, runs, 1))
     plan = plan_through(points, XY, move_s=move_s(operation))
-    alone = [
+    one_by_one = [
         record(
             XY, {ChannelKind.LOAD: many[:, r], ChannelKind.VELOCITY: paces[:, r]}, operation,
             per_block=per_block,
@@ -149,7 +149,7 @@ def test_runs_side_by_side_have_the_figures_that_they_have_alone(runs: int, per_
         for r in range(runs)
     ]  # fmt: skip
     blocks = []
-    for parts in zip(*alone, strict=True):
+    for parts in zip(*one_by_one, strict=True):
         samples = {
             name: values
             if name == "operation"
@@ -157,7 +157,7 @@ def test_runs_side_by_side_have_the_figures_that_they_have_alone(runs: int, per_
             for name, values in parts[0].samples.items()
         }
         blocks.append(RecordingBlock(first_tick=parts[0].first_tick, samples=samples))
-    together = replace(alone[0], blocks=Stream.of(blocks), runs=runs)
-    errors = [judge([one], plan, CONTOUR).result("contour_error").measured for one in alone]
+    together = replace(one_by_one[0], blocks=Stream.of(blocks), runs=runs)
+    errors = [judge([one], plan, CONTOUR).result("contour_error").measured for one in one_by_one]
     found = judge([together], plan, CONTOUR).result("contour_error").measured
     assert found == max(one or 0.0 for one in errors)

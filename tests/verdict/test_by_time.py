@@ -41,11 +41,11 @@ def test_a_trace_without_operations_is_judged_as_one_with_them(per_block: int) -
     actual, operation = off_the_path()
     plan = plan_through(POINTS, XY)
     load = {ChannelKind.LOAD: actual}
-    told = judge([record(XY, load, operation)], plan, SPEC)
+    verdict = judge([record(XY, load, operation)], plan, SPEC)
     untold = judge([record(XY, load, None, per_block=per_block)], plan, SPEC)
 
     for name in ("contour_error", "turning_point_error"):
-        with_, without = told.result(name), untold.result(name)
+        with_, without = verdict.result(name), untold.result(name)
         assert without.measured == with_.measured
         assert (without.operation, without.time_s) == (with_.operation, with_.time_s)
         assert "operations from the plan by time" in without.note
@@ -208,8 +208,8 @@ def test_operations_that_the_job_does_not_have_are_refused(last: float, refused:
     made = replace(record(XY, {ChannelKind.LOAD: commanded}, operation), simulated=False)
     if refused:
         when = (len(commanded) - 3) * float(SERVO.period_s)
-        said = rf"the operation at {when:g} s is .*by hand has 5, from 0 to 4"
-        with pytest.raises(RecordingError, match=said):
+        message = rf"the operation at {when:g} s is .*by hand has 5, from 0 to 4"
+        with pytest.raises(RecordingError, match=message):
             judge([made], plan, SPEC)
     else:
         assert judge([made], plan, SPEC).result("contour_error").measured < 1e-12

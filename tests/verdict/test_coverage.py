@@ -75,8 +75,8 @@ def test_blocks_that_are_missing_hide_no_error(cut: slice) -> None:
     verdict = judge([holed], plan(), strict)
     assert {r.status for r in verdict.results} == {Status.NOT_MEASURED}
     begin, end = cut.start * 10 * TICK_S, cut.stop * 10 * TICK_S
-    said = f"no samples from {begin:g} s to {end:g} s"
-    assert all(said in r.note for r in verdict.results)
+    message = f"no samples from {begin:g} s to {end:g} s"
+    assert all(message in r.note for r in verdict.results)
     assert closing(verdict).startswith("NOT PROVEN")
 
 
@@ -131,8 +131,8 @@ def test_blocks_that_overlap_or_go_back_are_refused(first, words: str) -> None:
     moved = changed(run(), lambda n, at, samples: (first(n, at), samples))
     for operations in (True, False):
         if not operations:
-            kept = tuple(c for c in moved.channels if c.kind is not K.OPERATION)
-            moved = replace(moved, channels=kept, simulated=False)
+            channels = tuple(c for c in moved.channels if c.kind is not K.OPERATION)
+            moved = replace(moved, channels=channels, simulated=False)
         with pytest.raises(RecordingError, match=words) as caught:
             judge([moved], plan(), SPEC)
         assert "\n" not in str(caught.value)

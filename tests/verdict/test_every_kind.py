@@ -39,8 +39,8 @@ def test_no_change_of_a_kind_changes_its_verdict(kind: str, tmp_path: Path) -> N
     """Some kinds are proved, others are read; inches suit only work without a rotary axis."""
     tally = run(kind, 3, proved=4)
     assert tally.failures == []
-    wanted = CHANGES + RUNS - LESS.get(kind, 0)
-    assert len(tally.cases) in (wanted, wanted - (kind in ("winder", "firmware")))
+    expected = CHANGES + RUNS - LESS.get(kind, 0)
+    assert len(tally.cases) in (expected, expected - (kind in ("winder", "firmware")))
     assert min(tally.cases.values()) >= 1
     assert any(cell.endswith("|proved") for cell in tally.doors)
     kept = tmp_path / "kept.jsonl"

@@ -135,8 +135,8 @@ def test_a_limit_switch_that_cut_a_motor_is_named() -> None:
     verdict = judge([run], plan, SPEC)
 
     assert listed(verdict) == [("limit-switch", 50 * TICK_S, 20)]
-    said = "the limit switch x_high of X cut the supply of drives.x at 0.250 s, line 20"
-    assert said in closing(verdict)
+    message = "the limit switch x_high of X cut the supply of drives.x at 0.250 s, line 20"
+    assert message in closing(verdict)
     assert verdict_json(verdict, plan)["events"][0]["axis"] == "X"
 
 

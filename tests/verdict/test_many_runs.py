@@ -127,13 +127,13 @@ def of_several(kinds: tuple[ChannelKind, ...], columns: int | None = None) -> Re
     one = simulate(tick_table(plan.commands), machine)
     given = {c.name for c in one.channels if c.kind in kinds}
     alike = {ChannelKind.COMMANDED, ChannelKind.OPERATION, ChannelKind.OUTPUT}
-    kept = {c.name for c in one.channels if c.kind in alike}
+    channels = {c.name for c in one.channels if c.kind in alike}
     blocks = []
     for block in one:
         samples = {}
         for name, values in block.samples.items():
             count = columns if name in given else 3
-            once = name in kept or count is None
+            once = name in channels or count is None
             samples[name] = values if once else np.repeat(values[:, None], count, axis=1)
         blocks.append(replace(block, samples=samples))
     return replace(one, blocks=blocks, runs=3)
@@ -165,8 +165,8 @@ def test_any_part_and_any_thread_gives_the_same(monkeypatch) -> None:
     parts: list[float] = []
     cut = RunsJudge(plan, spec, threads=3).judged(numbers, phases, parts.append)
     assert sum(parts) == pytest.approx(40.0) and len(parts) >= 6 and min(parts) >= 0.0
-    alone = RunsJudge(plan, spec, threads=1).judged(numbers, phases)
-    for mine, theirs, third in zip(whole.rows, cut.rows, alone.rows, strict=True):
+    single = RunsJudge(plan, spec, threads=1).judged(numbers, phases)
+    for mine, theirs, third in zip(whole.rows, cut.rows, single.rows, strict=True):
         np.testing.assert_allclose(mine.values, theirs.values, rtol=WITHIN, atol=WITHIN)
         np.testing.assert_array_equal(theirs.values, third.values)
 
@@ -234,14 +234,14 @@ def test_a_run_without_an_answer_fails_alone(monkeypatch) -> None:
 
     monkeypatch.setattr(judge_runs, "simulate_runs", without)
     found = RunsJudge(plan, spec).judged({path: own * np.array([1.0, 2.0, 1.0, 1.0])})
-    alone = RunsJudge(plan, spec).judged({path: own * np.ones(1)})
+    single = RunsJudge(plan, spec).judged({path: own * np.ones(1)})
     contour = found.row("contour_error")
     assert np.isinf(contour.values[1]) and contour.failed.tolist() == [False, True, False, False]
     kept = [run for run in range(4) if run not in lost]
-    assert (contour.values[kept] == alone.row("contour_error").values[0]).all()
+    assert (contour.values[kept] == single.row("contour_error").values[0]).all()
     assert found.passed.tolist() == [True, False, True, True]
     # Criteria of the plan alone are unchanged.
-    assert found.row("path_deviation").values[1] == alone.row("path_deviation").values[0]
+    assert found.row("path_deviation").values[1] == single.row("path_deviation").values[0]
 
 
 def test_a_criterion_without_a_limit_fails_nothing() -> None:

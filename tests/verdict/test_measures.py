@@ -116,8 +116,11 @@ def test_runs_side_by_side_pass_by_what_was_seen_as_one_run_does(name, standstil
     plan = plan_through(POINTS, ("X", "Y"))
     for limit in (1e-9, 1.0):
         spec = spec_of(Criterion(name=name, limit=limit, required=True))
-        alone, (beside,) = judge([recording], plan, spec), Judge(plan, spec).each(recording).passed
-        assert beside == alone.passed == (limit == 1.0 and standstill > 40)
+        one_by_one, (beside,) = (
+            judge([recording], plan, spec),
+            Judge(plan, spec).each(recording).passed,
+        )
+        assert beside == one_by_one.passed == (limit == 1.0 and standstill > 40)
 
 
 def test_a_band_beyond_all_motion_is_settled_in_at_once() -> None:
@@ -338,9 +341,9 @@ def test_repeatability_is_the_farthest_run_from_the_mean() -> None:
     assert result.time_s == pytest.approx(sample * TICK_S)
     assert result.note == f"recording {run + 1}"
     for few in (1, 19):
-        alone = judge(recordings[:few], plan, spec).result("repeatability")
-        assert alone.status is Status.NOT_MEASURED
-        assert str(few) in alone.note
+        one_by_one = judge(recordings[:few], plan, spec).result("repeatability")
+        assert one_by_one.status is Status.NOT_MEASURED
+        assert str(few) in one_by_one.note
 
 
 def test_worst_of_several_recordings_counts() -> None:

@@ -49,14 +49,14 @@ def again(recording: Recording) -> Recording:
     return replace(recording, simulated=False)
 
 
-def off_the_path(seed: int, told, per_block: int = 64) -> Recording:
+def off_the_path(seed: int, text, per_block: int = 64) -> Recording:
     commanded, operation = follow(POINTS, 20)
     random = np.random.default_rng(seed)
     actual = commanded + random.normal(0.0, 1e-4, commanded.shape)
-    return record(XY, {ChannelKind.LOAD: actual}, told(operation), per_block=per_block)
+    return record(XY, {ChannelKind.LOAD: actual}, text(operation), per_block=per_block)
 
 
-TOLD = {
+OPERATIONS = {
     "told": lambda operation: operation,
     "nothing": lambda operation: np.full_like(operation, -1.0),
     "late": lambda operation: np.where(operation < 2, -1.0, operation),
@@ -65,10 +65,10 @@ TOLD = {
 
 
 @pytest.mark.parametrize("per_block", [7, 64])
-@pytest.mark.parametrize("name", TOLD)
+@pytest.mark.parametrize("name", OPERATIONS)
 def test_one_reading_gives_the_verdict_of_two(name: str, per_block: int) -> None:
     plan = plan_through(POINTS, XY)
-    made = [off_the_path(seed, TOLD[name], per_block) for seed in (1, 2)]
+    made = [off_the_path(seed, OPERATIONS[name], per_block) for seed in (1, 2)]
     live = judge([once(one) for one in made], plan, SPEC)
     assert live == judge([again(one) for one in made], plan, SPEC)
     assert live.result("repeatability").measured is not None
@@ -82,10 +82,10 @@ def test_one_reading_gives_the_verdict_of_two(name: str, per_block: int) -> None
 def test_runs_that_tell_and_runs_that_do_not_are_compared() -> None:
     """The operations by time equal the operations that the other run recorded."""
     plan = plan_through(POINTS, XY)
-    silent = off_the_path(1, TOLD["nothing"], 7)
-    telling = off_the_path(2, TOLD["told"], 64)
+    silent = off_the_path(1, OPERATIONS["nothing"], 7)
+    telling = off_the_path(2, OPERATIONS["told"], 64)
     mixed = judge([once(silent), once(telling)], plan, SPEC).result("repeatability")
-    both = judge([off_the_path(1, TOLD["told"]), telling], plan, SPEC).result("repeatability")
+    both = judge([off_the_path(1, OPERATIONS["told"]), telling], plan, SPEC).result("repeatability")
     assert mixed.measured == both.measured is not None
     assert (mixed.time_s, mixed.operation) == (both.time_s, both.operation)
     other = off_the_path(2, lambda operation: np.maximum(operation - 1, 0))
@@ -131,7 +131,7 @@ LOGGER = Clock("logger", Fraction(10, 1000))
 
 def two_clocks(behind: int, per_block: int = 16) -> Recording:
     """Return positions, and every second operation on a clock of its own, some blocks late."""
-    whole = off_the_path(3, TOLD["told"])
+    whole = off_the_path(3, OPERATIONS["told"])
     load = {name: whole.samples(name)[1] for name in ("X.load", "Y.load")}
     operation = whole.samples("operation")[1][::2]
     channels = tuple(

@@ -165,13 +165,13 @@ def test_without_a_command_the_plan_at_the_same_instant_counts(lacking: int | No
     command, operation = follow(LINE, PER_MOVE)
     actual = command.copy()
     actual[40:60, 0] += 3e-3
-    told = progress(LINE, actual, operation, command=command)
+    result = progress(LINE, actual, operation, command=command)
     half = None
     if lacking is not None:
         half = command.copy()
         half[:, lacking] = np.nan
     untold = progress(LINE, actual, operation, command=half)
-    assert untold.measured == pytest.approx(told.measured, abs=1e-9)
+    assert untold.measured == pytest.approx(result.measured, abs=1e-9)
     assert untold.note == "ahead; command from the plan by time"
 
 

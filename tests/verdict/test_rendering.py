@@ -349,7 +349,7 @@ def test_a_step_without_a_result_has_a_dash_and_one_that_failed_to_be_measured_s
 
 
 @pytest.mark.parametrize(
-    ("share", "said"), [(0.0, "0 %"), (0.0209, "2.09 %"), (1.0, "100 %"), (12.53, "1250 %")]
+    ("share", "message"), [(0.0, "0 %"), (0.0209, "2.09 %"), (1.0, "100 %"), (12.53, "1250 %")]
 )
-def test_shares_are_written_without_powers_of_ten(share: float, said: str) -> None:
-    assert shown(share, "") == said
+def test_shares_are_written_without_powers_of_ten(share: float, message: str) -> None:
+    assert shown(share, "") == message

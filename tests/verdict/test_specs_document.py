@@ -77,13 +77,13 @@ def test_a_row_says_what_the_measure_is(name: str) -> None:
         assert " or ".join(f"`{channel}`" for channel in alternatives) in needs
     if all(isinstance(reading, OfPlan) for reading in kind.reads):
         assert needs == "plan"
-    said = {o: text for o, text in re.findall(r"`(\w+)` ([\d.]+ ?(?:mm|ms|s)?)", options)}
-    assert set(said) == set(kind.options)
-    for option, text in said.items():
-        wanted = kind.options[option]
+    values = {o: text for o, text in re.findall(r"`(\w+)` ([\d.]+ ?(?:mm|ms|s)?)", options)}
+    assert set(values) == set(kind.options)
+    for option, text in values.items():
+        expected = kind.options[option]
         has_unit = text.strip()[-1].isalpha()
-        value = parse_quantity(text, wanted.unit) if has_unit else float(text)
-        assert value == pytest.approx(wanted.default, abs=1e-12)
+        value = parse_quantity(text, expected.unit) if has_unit else float(text)
+        assert value == pytest.approx(expected.default, abs=1e-12)
 
 
 def test_every_key_and_status_is_named() -> None:

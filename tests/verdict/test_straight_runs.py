@@ -79,10 +79,10 @@ def test_no_dropped_vertex_is_beside_its_run(seed: int) -> None:
     step = 10.0 ** draw.uniform(-6, -2)
     turn = 10.0 ** draw.uniform(-10, -1) * draw.choice([0.0, 1.0], size=count, p=[0.3, 0.7])
     angle = np.cumsum(turn)
-    ways = step * np.column_stack([np.cos(angle), np.sin(angle), 0.1 * np.cos(0.3 * angle)])
-    ways[draw.random(count) < 0.05] *= -1.0
-    ways[draw.random(count) < 0.05] = 0.0
-    points = np.vstack([[0, 0, 0], np.cumsum(ways, axis=0)])
+    moves = step * np.column_stack([np.cos(angle), np.sin(angle), 0.1 * np.cos(0.3 * angle)])
+    moves[draw.random(count) < 0.05] *= -1.0
+    moves[draw.random(count) < 0.05] = 0.0
+    points = np.vstack([[0, 0, 0], np.cumsum(moves, axis=0)])
     points += draw.uniform(-1, 1, points.shape) * 10.0 ** draw.uniform(-16, -9)
     kept, begun, ended = joined(points, nominal_s=np.zeros(count + 1), per_block=333)
     assert ended[-1] == count - 1

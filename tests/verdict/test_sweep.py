@@ -92,8 +92,8 @@ def test_findings_and_places_are_the_same_however_few_samples_are_brought_in(
     monkeypatch.setattr(sweep, "AT_ONCE", 7 * RUNS)
     assert found(plan, SWEPT) == whole
     # A measure finds the same alone as together with others.
-    alone = [finding for name in SWEPT for finding in found(plan, (name,))]
-    assert alone == whole
+    one_by_one = [finding for name in SWEPT for finding in found(plan, (name,))]
+    assert one_by_one == whole
     # So does a single run, by its own loops as well as by the loops of many runs.
     for own in (True, False):
         monkeypatch.setattr(sweep, "loops_of_one_run_serve", lambda own=own: own)

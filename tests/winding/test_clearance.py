@@ -127,8 +127,10 @@ def test_eye_and_arm_are_as_far_as_from_a_mesh(
             if (away < np.maximum(r, 0.058) + 1e-3).any():
                 continue  # the mesh does not know its inside
             tested += 1
-            wanted = 0.2
-            found = wanted - Clearance(product.surface, product.rings, tool, wanted).feed(eye[None])
+            expected_values = 0.2
+            found = expected_values - Clearance(
+                product.surface, product.rings, tool, expected_values
+            ).feed(eye[None])
             whole = _off_mesh(points, triangles, tree)
             body = _off_mesh(points[:1], triangles, tree) - 4e-3
             expected = body if arm is None else min(body, whole - 3e-3)
@@ -261,10 +263,10 @@ def test_layers_that_a_free_fibre_cannot_meet_change_nothing(product: Product) -
     for one in (near, all_of_it):
         one.feed(eyes, fibre)
     at = np.flatnonzero(fibre.known)[::17]
-    found, wanted = (
+    found, expected = (
         [one.hollow_m(eyes[k], fibre.u[k], fibre.angle[k]) for k in at] for one in (near, all_of_it)
     )
-    assert found == wanted
+    assert found == expected
     assert len(at) > 50 and max(found) > 1e-4
 
 

@@ -31,7 +31,7 @@ def _found(plan: Plan) -> dict[str, Finding]:
 
 
 @pytest.mark.parametrize(
-    ("start", "step", "times", "said"),
+    ("start", "step", "times", "message"),
     [
         ("Y 60;\nX 20;\nX 100;", "X -1", 20, "the mandrel never turns, so that nothing is laid"),
         ("Y 40;\nX 20;", "A 30 X 3", 20, "10 mm inside the mandrel; a mandrel of 40 mm at its w"),
@@ -41,7 +41,7 @@ def _found(plan: Plan) -> dict[str, Finding]:
     ],
 )
 def test_a_program_that_lays_nothing_says_why(
-    tmp_path: Path, machine: Machine, start: str, step: str, times: int, said: str
+    tmp_path: Path, machine: Machine, start: str, step: str, times: int, message: str
 ) -> None:
     """One criterion gives the reason; the others only say that the fibre is never known."""
     product = tmp_path / "c.wind.toml"
@@ -55,19 +55,19 @@ def test_a_program_that_lays_nothing_says_why(
     file.write_text(text)
     options = options_of(product=str(product), interpolation="linear")
     found = _found(plan_job(open_job(file, machine, options), machine, options))
-    assert said in found["planned_slip_tendency"].note
+    assert message in found["planned_slip_tendency"].note
     assert found["planned_lifting"].note == "the fibre is never known"
 
 
 @pytest.mark.parametrize(
-    ("moves", "said"),
+    ("moves", "message"),
     [
         ("G1 X900 F6000\nG1 A3600 X1100\n", "stays beside the mandrel, at 900 to 1100 mm"),
         ("G1 A360 X900 F6000\n", "free lengths in a row, needed are 5"),
     ],
 )
 def test_an_eye_at_a_fixed_distance_is_not_inside_the_mandrel(
-    tmp_path: Path, moves: str, said: str
+    tmp_path: Path, moves: str, message: str
 ) -> None:
     """Its carrier has no axis across: the pay-out point is 80 mm from the axis."""
     product = tmp_path / "c.wind.toml"
@@ -79,7 +79,7 @@ def test_an_eye_at_a_fixed_distance_is_not_inside_the_mandrel(
     file.write_text(f"G21\nG90\nG94\n{moves}M30\n")
     options = options_of(product=str(product), interpolation="linear")
     note = _found(plan_job(open_job(file, winder, options), winder, options))
-    assert said in note["planned_slip_tendency"].note
+    assert message in note["planned_slip_tendency"].note
 
 
 def test_the_reason_counts_the_pay_out_point_as_the_replay_does() -> None:
@@ -89,8 +89,8 @@ def test_the_reason_counts_the_pay_out_point_as_the_replay_does() -> None:
     surface = product_of_text(product_text(VESSEL)).surface
     found = np.column_stack(Witness(surface, offset).payout_points(eyes))
     payout = np.array([*offset, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0])
-    wanted = [centre(one, np.zeros(6), payout)[:3] for one in eyes]
-    assert found == pytest.approx(np.array(wanted), abs=1e-15)
+    expected = [centre(one, np.zeros(6), payout)[:3] for one in eyes]
+    assert found == pytest.approx(np.array(expected), abs=1e-15)
 
 
 def test_the_radius_that_would_fit_is_found() -> None:

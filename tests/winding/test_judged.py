@@ -42,7 +42,7 @@ from threadline.verdict.fibre import (
 )
 from threadline.verdict.finding import Finding
 from threadline.verdict.laid_error import off_design
-from threadline.verdict.pattern import Closing, Covering
+from threadline.verdict.pattern import CoverageGap, PatternClosure
 from threadline.verdict.replayed import (
     Wound,
     WoundJob,
@@ -290,16 +290,16 @@ def test_the_distance_of_the_eye_is_that_of_a_cylinder(tmp_path: Path) -> None:
     # Below its rim an end is nearer than the side.
     inside = (out < 0.0) & (beyond == 0.0)
     distance = np.where(inside, np.maximum(out, -np.minimum(x, 0.2 - x)), distance)
-    wanted = np.maximum(0.003 - distance, 0.0)
-    assert (wanted > 0.0).mean() > 0.1
+    expected = np.maximum(0.003 - distance, 0.0)
+    assert (expected > 0.0).mean() > 0.1
     near = Clearance(product.surface, (), tool, 0.003)
     found = np.concatenate([near.feed(part) for part in np.array_split(eyes, 9)])
     # Every sample is as far as stated, or no nearer than an earlier one.
-    said = found > 0.0
-    np.testing.assert_allclose(found[said], wanted[said], atol=1e-6)
-    before = np.maximum.accumulate(wanted)
-    assert (wanted[~said] <= before[~said] + 1e-6).all()
-    assert found.max() == pytest.approx(wanted.max(), abs=1e-6)
+    is_nearest = found > 0.0
+    np.testing.assert_allclose(found[is_nearest], expected[is_nearest], atol=1e-6)
+    before = np.maximum.accumulate(expected)
+    assert (expected[~is_nearest] <= before[~is_nearest] + 1e-6).all()
+    assert found.max() == pytest.approx(expected.max(), abs=1e-6)
     assert near.words(0).startswith("the eye and the mandrel: it would fit with a radius")
 
 
@@ -311,7 +311,7 @@ def test_a_pattern_closes_after_its_number_of_circuits(
     assert machine.tool is not None
     eyes = _eyes(circuit, circuits)
     job = WoundJob(vessel, machine.tool, machine.axis_names)
-    closing = Closing([job], 3)
+    closing = PatternClosure([job], 3)
     replay = job.replay()
     for part in np.array_split(eyes, 7):
         fibre = replay.feed(part)
@@ -396,7 +396,7 @@ def test_coverage_says_how_much_of_the_fibre_it_does_not_know(
     """Untied, the first five free lengths of 40 mm are unknown: 0.2 m of two circuits."""
     assert machine.tool is not None
     eyes = _eyes(circuit, 2)
-    covering = Covering([WoundJob(vessel, machine.tool, machine.axis_names)], 3)
+    covering = CoverageGap([WoundJob(vessel, machine.tool, machine.axis_names)], 3)
     replay = Replay(vessel.surface, machine.tool, 0.2)
     for part in np.array_split(eyes, 5):
         blank = np.zeros((len(part), 3))
@@ -409,7 +409,7 @@ def test_coverage_says_how_much_of_the_fibre_it_does_not_know(
     assert covering.found().worst().note.endswith("and that fibre may lie in the gap")
     none = Gap(0.0, 0.0, -1, "")
     monkeypatch.setattr(Raster, "gap", lambda _: none)
-    full = Covering([WoundJob(vessel, machine.tool, machine.axis_names)], 3)
+    full = CoverageGap([WoundJob(vessel, machine.tool, machine.axis_names)], 3)
     fibre = Replay(vessel.surface, machine.tool, 0.2).feed(part)
     full.take([Wound(blank[:, 0], None, blank, fibre, part)])
     finding = full.found().worst()
@@ -420,16 +420,18 @@ def test_coverage_says_how_much_of_the_fibre_it_does_not_know(
     )  # fmt: skip
 
 
-@pytest.mark.parametrize(("slip", "said"), [(2e-4, "0.02% too little"), (-2e-4, "0.02% too far")])
+@pytest.mark.parametrize(
+    ("slip", "message"), [(2e-4, "0.02% too little"), (-2e-4, "0.02% too far")]
+)
 def test_a_mandrel_that_slips_leaves_a_pattern_open_on_one_side(
-    vessel: Product, machine: Machine, circuit: FloatArray, slip: float, said: str
+    vessel: Product, machine: Machine, circuit: FloatArray, slip: float, message: str
 ) -> None:
     """44 circuits of 63/44 turns are 63 turns: 0.02 % of them are 4.5 degrees, 3.0 mm across."""
     assert machine.tool is not None
     product = replace(vessel, slip=Toleranced(slip), at=Toleranced(0.0))
     job = WoundJob(product, machine.tool, machine.axis_names)
     positions = _eyes(circuit, programs.CIRCUITS)[:, :3]
-    closing, replay = Closing([job], 3), job.replay()
+    closing, replay = PatternClosure([job], 3), job.replay()
     eyes = job.eyes(positions)
     fibre = replay.feed(eyes)
     closing.take([Wound(np.zeros(len(eyes)), None, positions, fibre, eyes)])
@@ -437,7 +439,7 @@ def test_a_mandrel_that_slips_leaves_a_pattern_open_on_one_side(
     cos = math.sqrt(1.0 - (programs.TURN_M / 0.05) ** 2)
     expected = abs(slip) * programs.TURNS * 2.0 * math.pi * 0.05 * cos
     assert away.value == pytest.approx(expected, abs=3e-4)
-    assert said in away.note and "steps per degree or by slip" in away.note
+    assert message in away.note and "steps per degree or by slip" in away.note
 
 
 def test_a_level_over_tolerances_draws_slip_and_friction(vessel: Product, machine: Machine) -> None:

@@ -29,9 +29,9 @@ def _read(folder: Path, text: str) -> Product:
 def _refused(folder: Path, text: str) -> str:
     with pytest.raises(JobError) as caught:
         _read(folder, text)
-    said = str(caught.value)
-    assert "\n" not in said.strip()
-    return said
+    message = str(caught.value)
+    assert "\n" not in message.strip()
+    return message
 
 
 def test_numbers_and_tolerances(tmp_path: Path) -> None:
@@ -106,7 +106,7 @@ def test_a_corner_of_a_table_is_rounded(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("rows", "said"),
+    ("rows", "message"),
     [
         ("0,40\n10,-1\n", "m.csv:3: the mandrel crosses its axis"),
         ("0,40\n10,41\n5,42\n", "m.csv:4: the mandrel doubles back"),
@@ -117,13 +117,13 @@ def test_a_corner_of_a_table_is_rounded(tmp_path: Path) -> None:
         ("0,40\n1e300,40\n", "m.csv:3: '1e300,40' is no point"),
     ],
 )
-def test_faults_of_a_table_name_its_line(tmp_path: Path, rows: str, said: str) -> None:
+def test_faults_of_a_table_name_its_line(tmp_path: Path, rows: str, message: str) -> None:
     (tmp_path / "m.csv").write_text("x_mm,radius_mm\n" + rows)
-    assert said in _refused(tmp_path, '[[part]]\nfile = "m.csv"\n' + BAND)
+    assert message in _refused(tmp_path, '[[part]]\nfile = "m.csv"\n' + BAND)
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message"),
     [
         (CYLINDER + BAND.replace("0.25 +- 0.05", "0"), "p.wind.toml:8: a friction of 0"),
         (CYLINDER + BAND.replace("0.25 +- 0.05", "2"), "p.wind.toml:8: a friction of 2"),
@@ -159,8 +159,8 @@ def test_faults_of_a_table_name_its_line(tmp_path: Path, rows: str, said: str) -
         ),
     ],
 )
-def test_faults_name_their_line(tmp_path: Path, text: str, said: str) -> None:
-    assert said in _refused(tmp_path, text)
+def test_faults_name_their_line(tmp_path: Path, text: str, message: str) -> None:
+    assert message in _refused(tmp_path, text)
 
 
 def _drawn(folder: Path, *, faces: bool = True) -> Path:
@@ -205,7 +205,7 @@ def test_a_half_section_in_dxf_is_its_arc_and_line(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("line", "said"),
+    ("line", "text"),
     [
         (((-60.0, 10.0), (-49.0, 10.0)), "the mandrel is open or has two lines: one ends at x"),
         (((80.0, 50.0), (90.0, -5.0)), "the mandrel crosses its axis: y = -5 mm"),
@@ -213,13 +213,13 @@ def test_a_half_section_in_dxf_is_its_arc_and_line(tmp_path: Path) -> None:
     ],
 )
 def test_faults_of_a_drawing_name_its_line(
-    tmp_path: Path, line: tuple[tuple[float, float], tuple[float, float]], said: str
+    tmp_path: Path, line: tuple[tuple[float, float], tuple[float, float]], text: str
 ) -> None:
     document = ezdxf.readfile(_drawn(tmp_path, faces=False))
     document.modelspace().add_line(*line, dxfattribs={"layer": "MERIDIAN"})
     document.saveas(tmp_path / "m.dxf")
     message = _refused(tmp_path, DRAWN + BAND)
-    assert said in message
+    assert text in message
     assert "m.dxf:" in message
     assert "no meridian on the layer 'X'" in _refused(tmp_path, DRAWN.replace("MERIDIAN", "X"))
 
@@ -412,7 +412,7 @@ def test_points_on_chords_below_the_mandrel_are_left_out_where_a_finer_path_lies
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "expected_text"),
     [
         (MND[8:], "a.mnd:1: a mandrel file of CADFIL that turns about an axis begins with XRDATA"),
         (MND[:40], "it ends within its head"),
@@ -425,15 +425,15 @@ def test_points_on_chords_below_the_mandrel_are_left_out_where_a_finer_path_lies
     ],
 )
 def test_unknown_line_of_a_mandrel_file_is_refused_with_the_reason(
-    tmp_path: Path, text: str, said: str
+    tmp_path: Path, text: str, expected_text: str
 ) -> None:
     (tmp_path / "a.mnd").write_text(text)
     message = _refused(tmp_path, f'[[part]]\nfile = "a.mnd"\n{BAND}')
-    assert said in message and "\n" not in message
+    assert expected_text in message and "\n" not in message
 
 
 @pytest.mark.parametrize(
-    ("name", "text", "said"),
+    ("name", "text", "expected_text"),
     [
         ("a.wind", "{\n\n", "a.wind:3: it is no JSON"),
         ("a.wind", "[]", "mandrelParameters is missing"),
@@ -450,9 +450,9 @@ def test_unknown_line_of_a_mandrel_file_is_refused_with_the_reason(
     ],
 )
 def test_unknown_entry_of_another_planners_file_is_refused_with_the_reason(
-    tmp_path: Path, name: str, text: str, said: str
+    tmp_path: Path, name: str, text: str, expected_text: str
 ) -> None:
     with pytest.raises(JobError) as error:
         _foreign(tmp_path, name, text)
     message = str(error.value)
-    assert said in message and "\n" not in message
+    assert expected_text in message and "\n" not in message

@@ -63,12 +63,12 @@ def test_a_gap_has_its_width_across(winding: float) -> None:
     raster = Raster(CYLINDER, WIDTH, 0.05, 0.25)
     for k in range(strips):
         _strip(raster, winding, 2.0 * math.pi * k / strips)
-    wanted = 2.0 * math.pi * RADIUS * math.cos(winding) / strips - WIDTH
-    if wanted <= 0.0:
+    expected = 2.0 * math.pi * RADIUS * math.cos(winding) / strips - WIDTH
+    if expected <= 0.0:
         assert raster.gap().width_m == 0.0
         return
     # A cell on either side.
-    assert raster.gap().width_m == pytest.approx(wanted, abs=2.1 * WIDTH / 20.0)
+    assert raster.gap().width_m == pytest.approx(expected, abs=2.1 * WIDTH / 20.0)
 
 
 def test_a_gap_names_the_band_beside_it() -> None:

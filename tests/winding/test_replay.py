@@ -439,14 +439,15 @@ def test_an_eye_beside_the_mandrel_is_not_looked_at_in_every_block() -> None:
     looked = (fibre.state[:4000] == OFF).sum()
     assert 16 < looked < 4000 / 10
     # Where the eye alone comes back, the fibre is laid from the same place on.
-    alone = _replayed(surface, eyes[4000:])
+    one_by_one = _replayed(surface, eyes[4000:])
     first, sooner = (
-        len(state) - int(np.argmax(state[::-1] != LAID)) for state in (fibre.state, alone.state)
+        len(state) - int(np.argmax(state[::-1] != LAID))
+        for state in (fibre.state, one_by_one.state)
     )
     assert (first - 4000 - sooner) * step * np.hypot(1.0, away / radius) <= 0.25 * away + 2e-3
-    known = fibre.known[4000:] & alone.known
+    known = fibre.known[4000:] & one_by_one.known
     assert known.sum() > 300
-    both = (alone.u - fibre.u[4000:])[known]
+    both = (one_by_one.u - fibre.u[4000:])[known]
     assert np.abs(both).max() < 2e-3
     assert abs(both[-1]) < 1e-5
 

@@ -36,18 +36,18 @@ def _scale() -> FloatArray:
 def test_dropped_samples_lie_on_the_line_between_kept_samples() -> None:
     time, operation, places = _run(20_000)
     thinning = _thinning()
-    kept = thinning.kept(time, operation, places)
+    is_kept = thinning.kept(time, operation, places)
     assert thinning.waits
-    kept[-1] = True
-    assert kept[0] and kept.mean() < 0.25
+    is_kept[-1] = True
+    assert is_kept[0] and is_kept.mean() < 0.25
     # The last sample of each operation is kept: its steering is a mean up to there.
-    assert kept[:-1][np.diff(operation) > 0].all()
+    assert is_kept[:-1][np.diff(operation) > 0].all()
     size = places * _scale()
-    between = [np.interp(time, time[kept], column[kept]) for column in size.T]
+    between = [np.interp(time, time[is_kept], column[is_kept]) for column in size.T]
     away = np.abs(np.column_stack(between) - size)
     assert 1e-6 < away.max() <= STRAIGHT_M * (1.0 + 1e-6)
-    steps = np.diff(np.flatnonzero(kept))
-    moves = np.linalg.norm(np.diff(size[kept], axis=0), axis=1)
+    steps = np.diff(np.flatnonzero(is_kept))
+    moves = np.linalg.norm(np.diff(size[is_kept], axis=0), axis=1)
     assert moves[steps > 1].max() <= LONGEST_M * (1.0 + 1e-6)
     # The fibre begins where the mandrel begins to turn: there the error is 0.
     first = np.abs(size[:, 0] - size[0, 0]) < 0.9 * LONGEST_M
@@ -57,12 +57,12 @@ def test_dropped_samples_lie_on_the_line_between_kept_samples() -> None:
 def test_a_fast_swing_is_kept_to_five_micrometres_and_a_millimetre() -> None:
     """Over a millimetre of the mandrel it leaves a line by 90 um: only the distance limits it."""
     time, operation, places = _run(20_000, swing=5.0)
-    kept = _thinning().kept(time, 0 * operation, places)
-    kept[-1] = True
+    is_kept = _thinning().kept(time, 0 * operation, places)
+    is_kept[-1] = True
     size = places * _scale()
-    between = [np.interp(time, time[kept], column[kept]) for column in size.T]
+    between = [np.interp(time, time[is_kept], column[is_kept]) for column in size.T]
     away = np.column_stack(between) - size
-    assert 0.1 < kept.mean() < 0.9
+    assert 0.1 < is_kept.mean() < 0.9
     assert -5e-6 * (1.0 + 1e-6) <= away.min() < -3e-6
     assert 3e-6 < away.max() <= 5e-6 * (1.0 + 1e-6)
     slow = _run(20_000, swing=0.1)[2] * _scale()
@@ -86,5 +86,5 @@ def test_the_same_samples_are_kept_wherever_a_run_is_cut(length: int) -> None:
 def test_samples_that_are_no_numbers_are_kept() -> None:
     time, operation, places = _run(100)
     places[40:43, 1] = np.nan
-    kept = _thinning().kept(time, 0 * operation, places)
-    assert kept[39:43].all()
+    is_kept = _thinning().kept(time, 0 * operation, places)
+    assert is_kept[39:43].all()

@@ -17,7 +17,7 @@ from threadline.commands.plan import Plan
 from threadline.files import Stream
 from threadline.machine import Machine, load_machine
 from threadline.proof import judge_runs
-from threadline.proof.judge_runs import kept_in_memory
+from threadline.proof.judge_runs import cached_in_memory
 from threadline.proof.options import options_of
 from threadline.proof.pipeline import NOMINAL, open_job, plan_job, prove_plan, with_shaping
 from threadline.proof.worst_machine import WithinTolerances
@@ -115,10 +115,10 @@ def test_many_machines_share_the_design_and_the_plan(
     file.write_text("G90\nG1 X10 F100\nG4 P1500\nG1 X0\nM30\n")
     plan = plan_job(open_job(file, machine, options), machine, options)
     assert plan.duration_s > 1500.0
-    kept = kept_in_memory(plan)
-    assert kept is not plan and isinstance(kept.commands.blocks, Stream)
-    monkeypatch.setattr(judge_runs, "KEPT_TICKS", 1000)
-    assert kept_in_memory(plan) is plan
+    cached = cached_in_memory(plan)
+    assert cached is not plan and isinstance(cached.commands.blocks, Stream)
+    monkeypatch.setattr(judge_runs, "CACHED_TICKS", 1000)
+    assert cached_in_memory(plan) is plan
 
     counted: list[int] = []
     read = laid_error.programmed_fibre

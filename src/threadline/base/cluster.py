@@ -30,7 +30,7 @@ from itertools import islice
 from typing import Any, TypeVar
 
 from threadline.base.cluster_worker import (
-    KEPT,
+    MOST_WORKS,
     Answer,
     Refusal,
     answer_on_worker,
@@ -140,7 +140,7 @@ class Cluster:
     def __init__(self, address: str, *, ahead: int | None = None) -> None:
         self.address = address
         self._ahead = ahead
-        self._wanted = versions()
+        self._expected_versions = versions()
         self._client = _connected(address)
         self._seen_s = time.monotonic()
         self._counted_s = -float("inf")
@@ -228,7 +228,7 @@ class Cluster:
                 key = f"threadline-work-{digest}"
                 future = self._client.submit(same, content, key=key)
             self._works[id(work)] = work, digest, future  # the reference keeps the id valid
-            while len(self._works) > KEPT:
+            while len(self._works) > MOST_WORKS:
                 del self._works[next(iter(self._works))]
         _, digest, future = self._works[id(work)]
         if digest not in self._known:
@@ -246,7 +246,7 @@ class Cluster:
     def _begun(self, content: Any, digest: str, items: list[Any]) -> Any:
         with self._failing(), _quiet():
             return self._client.submit(
-                answer_on_worker, content, digest, self._wanted, items, pure=False
+                answer_on_worker, content, digest, self._expected_versions, items, pure=False
             )
 
     def _awaited(self, future: Any) -> Answer:
@@ -280,7 +280,7 @@ class Cluster:
                 raise self._refused(worker, f"has no {worker_versions.name}")
             if isinstance(worker_versions, Exception):
                 raise self._refused(worker, f"cannot tell its versions: {worker_versions}")
-            if difference := other_versions(worker_versions, self._wanted):
+            if difference := other_versions(worker_versions, self._expected_versions):
                 raise self._refused(worker, difference)
 
     def _refused(self, worker: str, why: str) -> OptionError:

@@ -23,7 +23,7 @@ from typing import Any
 from threadline import __version__
 from threadline.base.workers import Work
 
-KEPT = 8
+MOST_WORKS = 8
 """Number of works that a worker keeps ready."""
 _ENGINES = ("numpy", "scipy", "numba", "llvmlite")
 
@@ -95,7 +95,7 @@ def same(content: bytes) -> bytes:
 
 
 def answer_on_worker(
-    content: bytes, digest: str, wanted: Mapping[str, str], items: Sequence[Any]
+    content: bytes, digest: str, expected_versions: Mapping[str, str], items: Sequence[Any]
 ) -> Answer | Refusal:
     """Return the answers to the items of a task; this runs on a worker.
 
@@ -105,13 +105,13 @@ def answer_on_worker(
         The pickled work.
     digest
         Digest of the pickled work.
-    wanted
+    expected_versions
         Versions that the worker must have.
     """
     from distributed import get_worker
 
     worker = str(get_worker().address)
-    if difference := other_versions(versions(), wanted):
+    if difference := other_versions(versions(), expected_versions):
         return Refusal(worker=worker, why=difference)
     try:
         ready = _prepared(content, digest)
@@ -130,17 +130,17 @@ def _prepared(content: bytes, digest: str) -> _Ready:
         if digest not in _ready:
             work = pickle.loads(content)  # noqa: S301 - the scheduler runs whatever it is sent
             _ready[digest] = _Ready(work=work, known=work.known())
-            while len(_ready) > KEPT:
+            while len(_ready) > MOST_WORKS:
                 _ready.popitem(last=False)
         _ready.move_to_end(digest)
         return _ready[digest]
 
 
-def other_versions(here: Mapping[str, str], wanted: Mapping[str, str]) -> str:
+def other_versions(here: Mapping[str, str], expected_versions: Mapping[str, str]) -> str:
     """Return in words which versions differ; empty if all agree."""
     differences = [
-        f"{name} {here.get(name, 'none')} instead of {wanted_version}"
-        for name, wanted_version in wanted.items()
-        if here.get(name) != wanted_version
+        f"{name} {here.get(name, 'none')} instead of {expected_version}"
+        for name, expected_version in expected_versions.items()
+        if here.get(name) != expected_version
     ]
     return f"has {', '.join(differences)}" if differences else ""

@@ -58,7 +58,7 @@ F = TypeVar("F", bound=Callable[..., Any])
 LOCK_TIMEOUT_S = 120.0
 """Longest wait for the machine code of another process; after that this process compiles it."""
 _POLL_S = 0.02
-_PLAIN = (bool, int, float, complex, str, bytes, tuple)
+_CONSTANT_TYPES = (bool, int, float, complex, str, bytes, tuple)
 
 
 class FileLock:
@@ -105,12 +105,12 @@ class CacheFile(IndexDataCacheFile):
         """Return the machine code of a key; None if the caller has to compile it."""
         inherited: Any = super()  # numba has types for some of itself
         machine_code = inherited.load(key)
-        if machine_code is not None or key in self._making:
+        if machine_code is not None or key in self._locks_here:
             return machine_code
         lock = FileLock(Path(self._cache_path) / f"{self._name_of(key)}.lock")
         machine_code = inherited.load(key)
         if machine_code is None:
-            self._making[key] = lock
+            self._locks_here[key] = lock
         return machine_code
 
     def save(self, key: Hashable, data: object) -> None:
@@ -128,14 +128,14 @@ class CacheFile(IndexDataCacheFile):
                 index = self._load_index()
                 index[key] = name
                 inherited._save_index(index)
-                self._forget(set(index.values()))
+                self._remove_older(set(index.values()))
         finally:
-            lock = self._making.pop(key, None)
+            lock = self._locks_here.pop(key, None)
             if lock is not None:
                 lock.remove()
 
     @property
-    def _making(self) -> dict[Hashable, FileLock]:
+    def _locks_here(self) -> dict[Hashable, FileLock]:
         """Locks of the machine code that this process has to compile."""
         locks: dict[Hashable, FileLock] = self.__dict__.setdefault("_made_here", {})
         return locks
@@ -176,10 +176,10 @@ class CacheFile(IndexDataCacheFile):
         """Return machine code; raise OSError if the file is missing or damaged."""
         return pickle.loads(_checked(Path(self._cache_path) / name))  # noqa: S301
 
-    def _forget(self, kept_names: set[str]) -> None:
+    def _remove_older(self, current_names: set[str]) -> None:
         """Remove machine code of older sources; a process that still needs it compiles again."""
         for file in Path(self._cache_path).glob(self._data_name_pattern.replace("{number:d}", "*")):
-            if file.name not in kept_names:
+            if file.name not in current_names:
                 file.unlink(missing_ok=True)
 
 
@@ -197,7 +197,7 @@ def _checked(path: Path) -> bytes:
     return body
 
 
-class _Clock(Listener):
+class _CompileTimer(Listener):
     """Reports to ``COMPILING`` the start and end of every compilation."""
 
     def on_start(self, event: Event) -> None:
@@ -209,7 +209,7 @@ class _Clock(Listener):
         COMPILING.end()
 
 
-class _Lowering(Listener):
+class _InterruptHold(Listener):
     """Holds back interrupts while numba passes modules to LLVM.
 
     llvmlite notes only after the call that a module now belongs to LLVM. An exception between the
@@ -237,8 +237,8 @@ def _writes_machine_code(event: Event) -> bool:
 
 
 _register: Any = register  # numba has no types for it
-_register("numba:compile", _Clock())
-_register("numba:run_pass", _Lowering())
+_register("numba:compile", _CompileTimer())
+_register("numba:run_pass", _InterruptHold())
 
 
 def njit(**options: Any) -> Callable[[F], Dispatcher[F]]:
@@ -253,10 +253,10 @@ def njit(**options: Any) -> Callable[[F], Dispatcher[F]]:
 
     def compiled(function: F) -> Dispatcher[F]:
         dispatcher: Dispatcher[F] = numba.njit(**options)(function)
-        if _can_be_kept(dispatcher):
-            _keep_safely(dispatcher, repr(sorted(options.items())))
+        if _is_cacheable(dispatcher):
+            _use_cache_file(dispatcher, repr(sorted(options.items())))
         else:
-            COMPILING.kept = False
+            COMPILING.cached = False
         _prepare_first(dispatcher)
         return dispatcher
 
@@ -276,7 +276,7 @@ def cache_folder(function: Callable[..., Any]) -> Path | None:
         return None
 
 
-def _can_be_kept(function: Any) -> bool:
+def _is_cacheable(function: Any) -> bool:
     """Turn on numba's cache of a function; False if none of its folders can be written."""
     try:
         function.enable_caching()
@@ -290,7 +290,7 @@ def _can_be_kept(function: Any) -> bool:
     return True
 
 
-def _keep_safely(function: Any, options: str) -> None:
+def _use_cache_file(function: Any, options: str) -> None:
     cache = function._cache
     numba_file = cache._cache_file
     make_cache_file: Callable[..., CacheFile] = CacheFile
@@ -333,7 +333,7 @@ def _used_by(function: Callable[..., Any], seen: set[Any]) -> tuple[Hashable, ..
                 seen.add(value)
                 sources += [(name, value._cache._impl.locator.get_source_stamp())]
                 sources += _used_by(value.py_func, seen)
-        elif isinstance(value, _PLAIN):
+        elif isinstance(value, _CONSTANT_TYPES):
             sources.append((name, repr(value)))
     return tuple(sources)
 

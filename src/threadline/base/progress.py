@@ -42,7 +42,7 @@ class Compiling:
         Number of nested compilations in progress.
     began_s
         Start of the outermost compilation in progress, on the monotonic clock, s.
-    kept
+    cached
         Whether the machine code is kept on disk; False if no folder for it can be written.
     functions
         Number of functions of this program whose compilation has begun; numba's own, which these
@@ -57,7 +57,7 @@ class Compiling:
     done_s: float = 0.0
     depth: int = 0
     began_s: float = 0.0
-    kept: bool = True
+    cached: bool = True
     functions: int = 0
     part: str = ""
     ended_s: float = -math.inf

@@ -307,7 +307,7 @@ def _commit(pending: _Together) -> None:
             if move.made in to_stdout or (move.made is None and not move.place.exists()):
                 continue
             with naming(move.requested, move.made or move.place):
-                backup = _kept(move, pending.stack)
+                backup = _backup(move, pending.stack)
                 undo.append((move.place, backup))
                 if move.made is None:
                     move.place.unlink()
@@ -324,7 +324,7 @@ def _commit(pending: _Together) -> None:
         raise
 
 
-def _kept(move: _Move, stack: ExitStack) -> Path | None:
+def _backup(move: _Move, stack: ExitStack) -> Path | None:
     """Back up the file at ``move.place`` beside it; return the backup, None if there is no file."""
     if not move.place.exists():
         return None

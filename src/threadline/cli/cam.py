@@ -112,7 +112,7 @@ def cam(
         warning(text)
     for table_shown in tables:
         print_table(table_shown.title, table_shown.header, table_shown.rows)
-    for line in study.rise.said:
+    for line in study.rise.sentences:
         say(line)
     noise_origin = (
         "as given"

@@ -13,7 +13,7 @@ from threadline.cli import option_parameters
 from threadline.cli.arguments import JobArgument, JsonOption, MachineOption, ReportOption
 from threadline.cli.messages import warning
 from threadline.cli.output import check_outputs, print_json, print_table, progress_bar, say, warn
-from threadline.cli.search_text import AXES_ALONE, command_line, limit_words
+from threadline.cli.search_text import VELOCITY_LIMITS, command_line, limit_words
 from threadline.errors import OptionError
 from threadline.jobs.operations import FeedMode
 from threadline.motion.path.interpolations import FIRMWARE
@@ -158,21 +158,21 @@ def comparison_tables(
 
 
 def _fastest_row(name: str, result: FastestJob, reference: FastestJob) -> list[str]:
-    rung, slowest = result.best, reference.best.found.best
-    best = rung.found.best
+    candidate, slowest = result.best, reference.best.found.best
+    best = candidate.found.best
     if best is None:
-        return [name, "none", "-", "-", "-", rung.found.limited_by]
+        return [name, "none", "-", "-", "-", candidate.found.limited_by]
     names_unit = reference.by is FeedMode.OVERRIDE
     answer = f"{best * 1e3:.1f}{' mm/s' if names_unit else ''}"
     if result.by is FeedMode.OVERRIDE:
         answer = f"{best * 100.0:.4g} %"
     return [
         name,
-        f"{answer}{' alone' if rung.alone else ''}",
+        f"{answer}{' alone' if candidate.isolated else ''}",
         f"{best / slowest:.2f}" if slowest and result.by is reference.by else "-",
-        f"{rung.share:.0%}",
-        f"{rung.duration_s:.3f}",
-        limit_words(rung.found.limited_by, AXES_ALONE),
+        f"{candidate.share:.0%}",
+        f"{candidate.duration_s:.3f}",
+        limit_words(candidate.found.limited_by, VELOCITY_LIMITS),
     ]
 
 
@@ -191,7 +191,7 @@ def comparison_json(found: Comparison) -> dict[str, Any]:
                 "best": f.best.found.best,
                 "unit": "" if f.by is FeedMode.OVERRIDE else "m/s",
                 "intervals": [[i.low, i.high] for i in f.best.found.intervals],
-                "alone": list(f.best.found.alone),
+                "alone": list(f.best.found.isolated),
                 "limited_by": f.best.found.limited_by,
                 "limits": f.best.share,
                 "duration_s": f.best.duration_s,

@@ -64,13 +64,13 @@ def connect(
             {
                 "kind": answer.kind, "identity": answer.identity, "file": str(file),
                 "read": [dict(zip(keys, row, strict=True)) for row in rows],
-                "notes": settings.notes, "left_out": settings.unheeded, "new": command,
+                "notes": settings.notes, "left_out": settings.ignored, "new": command,
             }
         )  # fmt: skip
         return
     say(f"{answer.kind}: {answer.identity}")
     print_table(f"settings in {file}", ("setting", "value", "from"), rows)
-    for text in (*settings.notes, *settings.unheeded):
+    for text in (*settings.notes, *settings.ignored):
         say(f"  {text}")
     say(f"Next: {command}")
 

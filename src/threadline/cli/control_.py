@@ -13,7 +13,7 @@ from threadline.cli.output import check_outputs, print_json, print_table, say
 from threadline.dynamics.state_designs import DESIGNS
 from threadline.machine import load_machine
 from threadline.report.analysis import analysis_tables
-from threadline.search.controller_design import ControlDesign, Wanted, design_controllers
+from threadline.search.controller_design import ControlDesign, DesignGoal, design_controllers
 
 
 def control(
@@ -77,7 +77,7 @@ def control(
 
     Example: threadline control stitcher --design lqg --gain 2 -o reports/stitcher-lqg.toml
     """
-    wanted = Wanted(
+    goal = DesignGoal(
         design=design,
         gain=gain,
         sensors=_listed(sensors),
@@ -89,7 +89,7 @@ def control(
     )
     chosen = load_machine(machine)
     check_outputs(file=output)
-    designed = design_controllers(chosen, wanted, output)
+    designed = design_controllers(chosen, goal, output)
     if json:
         print_json(designed.content())
     else:

@@ -135,18 +135,18 @@ def design(
     output = seeking.output
     _check_output(output, [*job, job_file, chosen.file, *words.files()], part)
     check_outputs(file=output, folder=report)
-    wanted = design_question(words, job_file, chosen, request.aims)
-    trials = wanted.wanted.trials
+    question = design_question(words, job_file, chosen, request.aims)
+    trials = question.requirements.trials
     with progress_bar(not json) as progress:
         if part is not None and output is not None:
-            record = make_part(output, part, request, wanted, progress)
+            record = make_part(output, part, request, question, progress)
             tell_part(output, record, json=json)
             raise typer.Exit(0)
         if request.parts:
-            result = merged_design(request.parts, wanted, progress)
+            result = merged_design(request.parts, question, progress)
         else:
             result = search_design(
-                job_file, chosen, wanted.spec, wanted.options, wanted.wanted, progress
+                job_file, chosen, question.spec, question.options, question.requirements, progress
             )
     written = []
     with together(output if result.found is not None else None):

@@ -84,11 +84,11 @@ def make_part(
     output: Path,
     part: Part,
     request: DesignRequest,
-    wanted: DesignQuestion,
+    asked: DesignQuestion,
     progress: Progress,
 ) -> DesignRecord:
     """Make the searches of a part, and write them; return the record of the part."""
-    question = redesign(wanted.job, wanted.machine, wanted.spec, wanted.options, wanted.wanted)
+    question = redesign(asked.job, asked.machine, asked.spec, asked.options, asked.requirements)
     record = DesignRecord(
         identity=design_identity(question),
         words={
@@ -127,7 +127,7 @@ def tell_part(output: Path, record: DesignRecord, *, json: bool) -> None:
 
 
 def merged_design(
-    parts: Sequence[DesignPart], wanted: DesignQuestion, progress: Progress
+    parts: Sequence[DesignPart], asked: DesignQuestion, progress: Progress
 ) -> DesignResult:
     """Return the answer of all parts, the same to the bit as of one run.
 
@@ -137,7 +137,7 @@ def merged_design(
         If job, machine, options or versions differ from the parts', or if the machine of the file
         has another result on this computer.
     """
-    question = redesign(wanted.job, wanted.machine, wanted.spec, wanted.options, wanted.wanted)
+    question = redesign(asked.job, asked.machine, asked.spec, asked.options, asked.requirements)
     identity = design_identity(question)
     for part in parts:
         present_record = replace(part.record, identity=identity)

@@ -14,7 +14,7 @@ from threadline.proof.option_words import reserve_words, share_words
 from threadline.proof.options import Options
 from threadline.report.document import Printed
 from threadline.report.figures import binding_lines, binding_of
-from threadline.search import FastestJob, Rung
+from threadline.search import Candidate, FastestJob
 from threadline.search.by_pace import Answer
 
 
@@ -32,11 +32,11 @@ class OptimalOutput(SearchOutput):
             return self._chosen()
         rows = [
             [
-                _allowance(rung),
-                "" if rung.duration_s is None else f"{rung.duration_s:.3f}",
-                _outcome(rung),
+                _allowance(candidate),
+                "" if candidate.duration_s is None else f"{candidate.duration_s:.3f}",
+                _outcome(candidate),
             ]
-            for rung in self.of.rungs
+            for candidate in self.of.candidates
         ]
         by_share = self.of.best.contour_m is None
         header = ["acceleration limits used" if by_share else "contour mm", "job s", "verdict"]
@@ -46,13 +46,17 @@ class OptimalOutput(SearchOutput):
     def _chosen(self) -> Printed:
         """Return a table of the plans that were the best so far."""
         rows, best_s = [], math.inf
-        shares_differ = any(rung.share != 1.0 for rung in self.of.rungs)
-        for rung in self.of.rungs:
-            if rung.duration_s is None or rung.duration_s >= best_s or rung.options is None:
+        shares_differ = any(candidate.share != 1.0 for candidate in self.of.candidates)
+        for candidate in self.of.candidates:
+            if (
+                candidate.duration_s is None
+                or candidate.duration_s >= best_s
+                or candidate.options is None
+            ):
                 continue
-            best_s = rung.duration_s
-            options = rung.options
-            shares = [share_words(rung.share)] if shares_differ else []
+            best_s = candidate.duration_s
+            options = candidate.options
+            shares = [share_words(candidate.share)] if shares_differ else []
             rows.append(
                 [
                     f"{best_s:.3f}",
@@ -79,7 +83,7 @@ class OptimalOutput(SearchOutput):
         return f"{how}: the best plans so far", header, rows
 
     def _lines(self) -> Iterator[str]:
-        best, proved = self.of.best, len(self.of.rungs)
+        best, proved = self.of.best, len(self.of.candidates)
         if best.duration_s is None:
             yield f"no plan is in spec ({proved} proved): the nearest fails {best.found.limited_by}"
             return
@@ -92,7 +96,7 @@ class OptimalOutput(SearchOutput):
                 f"unsearched: up to {self.of.left} further choices of a plan, some plans for "
                 'each; --within "2 h" continues the search'
             )
-        if any(rung.alone for rung in self.of.rungs):
+        if any(candidate.isolated for candidate in self.of.candidates):
             yield "alone: the plan for an allowance smaller by half a percent is out of spec"
         for bound in self.of.bounds:
             excess = best.duration_s / bound.duration_s - 1.0
@@ -114,23 +118,25 @@ class OptimalOutput(SearchOutput):
             "unsearched": self.of.left,
             "rungs": [
                 {
-                    "duration_s": rung.duration_s,
-                    "limited_by": None if rung.duration_s is not None else rung.found.limited_by,
-                    "alone": rung.alone,
-                    **_allowed(rung),
+                    "duration_s": candidate.duration_s,
+                    "limited_by": None
+                    if candidate.duration_s is not None
+                    else candidate.found.limited_by,
+                    "alone": candidate.isolated,
+                    **_allowed(candidate),
                 }
-                for rung in self.of.rungs
+                for candidate in self.of.candidates
             ],
             **_allowed(best),
         }
 
 
-def _allowed(rung: Rung) -> dict[str, Any]:
-    contour_m = rung.contour_m
+def _allowed(candidate: Candidate) -> dict[str, Any]:
+    contour_m = candidate.contour_m
     return {
-        "limits": rung.share,
+        "limits": candidate.share,
         "contour_m": None if contour_m is None or math.isinf(contour_m) else contour_m,
-        **_choices(rung.options),
+        **_choices(candidate.options),
     }
 
 
@@ -150,13 +156,17 @@ def _choices(options: Options | None) -> dict[str, Any]:
     }
 
 
-def _outcome(rung: Rung) -> str:
-    if rung.duration_s is None:
-        return f"OUT: {rung.found.limited_by}"
-    return "in spec, alone" if rung.alone else "in spec"
+def _outcome(candidate: Candidate) -> str:
+    if candidate.duration_s is None:
+        return f"OUT: {candidate.found.limited_by}"
+    return "in spec, alone" if candidate.isolated else "in spec"
 
 
-def _allowance(rung: Rung) -> str:
-    if rung.contour_m is None:
-        return share_words(rung.share)
-    return NO_CONTOUR if math.isinf(rung.contour_m) else typed(round(rung.contour_m * 1e3, 6))
+def _allowance(candidate: Candidate) -> str:
+    if candidate.contour_m is None:
+        return share_words(candidate.share)
+    return (
+        NO_CONTOUR
+        if math.isinf(candidate.contour_m)
+        else typed(round(candidate.contour_m * 1e3, 6))
+    )

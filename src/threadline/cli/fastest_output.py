@@ -13,11 +13,11 @@ from typing import Any
 
 from threadline.cli.output import print_table, say
 from threadline.cli.search_text import (
-    AXES_ALONE,
     END,
-    alone_words,
+    VELOCITY_LIMITS,
     certainty_words,
     forbidden_words,
+    isolated_words,
     limit_words,
     margin_words,
     merged,
@@ -199,7 +199,7 @@ def verdict_content(verdict: Verdict) -> dict[str, Any]:
 
 
 def _steps(found: Fastest) -> dict[str, Any]:
-    return {"alone": list(found.alone), "step": found.step, "step_at_edges": found.near_step}
+    return {"alone": list(found.isolated), "step": found.step, "step_at_edges": found.near_step}
 
 
 _UNITS = {
@@ -210,7 +210,7 @@ _UNITS = {
 """By feed mode: unit of printed feeds, and factor from m/s."""
 
 
-_MANY_DWELLS, _DWELLS_ALONE = 0.02, 0.5
+_MANY_DWELLS, _MOSTLY_DWELLS = 0.02, 0.5
 """Shares of the time from which the output names dwells, and from which it names them alone."""
 _MUCH_LESS = 1.1  # ratio of the highest feed to ``enough`` from which the output names it
 
@@ -226,16 +226,18 @@ class FeedOutput(SearchOutput):
     def _table(self) -> Printed:
         best, (unit, per_m_s) = self.of.best, _UNITS[self.of.by]
         rows = []
-        for rung in self.of.rungs:
-            for interval in rung.found.intervals:
-                first = interval is rung.found.fastest
+        for candidate in self.of.candidates:
+            for interval in candidate.found.intervals:
+                first = interval is candidate.found.fastest
                 rows.append(
                     [
-                        share_words(rung.share),
+                        share_words(candidate.share),
                         typed(interval.low * per_m_s),
-                        "alone" if interval.alone else typed(interval.high * per_m_s),
-                        f"{rung.duration_s:.3f}" if first and rung.duration_s else "",
-                        self._limit(rung.found.limited_by, best=rung is best) if first else "",
+                        "alone" if interval.isolated else typed(interval.high * per_m_s),
+                        f"{candidate.duration_s:.3f}" if first and candidate.duration_s else "",
+                        self._limit(candidate.found.limited_by, best=candidate is best)
+                        if first
+                        else "",
                     ]
                 )
         header = ["acceleration limits used", f"from {unit}", f"to {unit}", "job s", "limited by"]
@@ -246,13 +248,15 @@ class FeedOutput(SearchOutput):
 
     @property
     def _end(self) -> str:
-        return AXES_ALONE if self.question.high is None else END
+        return VELOCITY_LIMITS if self.question.high is None else END
 
     def _lines(self) -> Iterator[str]:
         best, tried, (unit, per_m_s) = self.of.best, self.found.tried, _UNITS[self.of.by]
         yield from self._judged()
         if best.found.best is None:
-            forbidding = joined(one for rung in self.of.rungs for one in rung.found.forbidden)
+            forbidding = joined(
+                one for candidate in self.of.candidates for one in candidate.found.forbidden
+            )
             why, *more = forbidden_words(forbidding, best.found.limited_by, self._feed_text)
             yield from (f"no feed is in spec ({tried} tried): {why}", *more)
             if best.found.fixed:
@@ -274,8 +278,8 @@ class FeedOutput(SearchOutput):
                 "time, not the feed"
             )
         yield f"feeds {resolution_words(best.found)}"
-        if best.found.alone:
-            yield alone_words(best.found, unit, per_m_s)
+        if best.found.isolated:
+            yield isolated_words(best.found, unit, per_m_s)
 
     @property
     def _far_above_enough(self) -> bool:
@@ -294,7 +298,7 @@ class FeedOutput(SearchOutput):
         """The reason in words why a higher feed does not shorten the best plan."""
         share = dwells_s(self.question.job) / (self.of.best.duration_s or math.inf)
         dwells = f"dwells ({100.0 * share:.0f} % of the time)"
-        if share >= _DWELLS_ALONE:
+        if share >= _MOSTLY_DWELLS:
             return dwells
         rest = "acceleration, corners and rapid moves"
         return rest if share < _MANY_DWELLS else f"{dwells}, {rest}"
@@ -358,12 +362,12 @@ class FeedOutput(SearchOutput):
             "searched_in_one_run": result.in_one_run,
             "rungs": [
                 {
-                    "limits": rung.share,
-                    "duration_s": rung.duration_s,
-                    "intervals": [[i.low, i.high] for i in rung.found.intervals],
-                    "limited_by": rung.found.limited_by,
+                    "limits": candidate.share,
+                    "duration_s": candidate.duration_s,
+                    "intervals": [[i.low, i.high] for i in candidate.found.intervals],
+                    "limited_by": candidate.found.limited_by,
                 }
-                for rung in result.rungs
+                for candidate in result.candidates
             ],
         }
 
@@ -377,7 +381,7 @@ class NeedleOutput(SearchOutput):
         return self.found.passed
 
     def _table(self) -> Printed | None:
-        rows = [[typed(i.low), "alone" if i.alone else typed(i.high)] for i in self.of.intervals]
+        rows = [[typed(i.low), "alone" if i.isolated else typed(i.high)] for i in self.of.intervals]
         if not rows:
             return None
         return f"{self.title}: needle speeds in spec", ["from stitch/s", "to stitch/s"], rows
@@ -395,8 +399,8 @@ class NeedleOutput(SearchOutput):
             f"{found.tried} plans tried"
         )
         yield f"needle speeds {resolution_words(found)}"
-        if found.alone:
-            yield alone_words(found, "stitch/s")
+        if found.isolated:
+            yield isolated_words(found, "stitch/s")
 
     def _details(self) -> dict[str, Any]:
         return _steps(self.of)
@@ -416,7 +420,7 @@ class ShaftOutput(SearchOutput):
         rows = [
             [
                 f"{i.low * _MINUTE:.2f}",
-                "alone" if i.alone else f"{i.high * _MINUTE:.2f}",
+                "alone" if i.isolated else f"{i.high * _MINUTE:.2f}",
                 "begins where the search did: --low for slower ones"
                 if i.low == constant.low
                 else "",
@@ -436,8 +440,8 @@ class ShaftOutput(SearchOutput):
                 f"{found.constant_s:.4g} s, limited by {limit_words(found.limited_by)}; "
                 f"{resolution_words(constant)}"
             )
-        if constant.alone:
-            yield alone_words(constant, "stitch/min", _MINUTE)
+        if constant.isolated:
+            yield isolated_words(constant, "stitch/min", _MINUTE)
         if found.schedule is not None:
             yield (
                 f"fastest with a speed for each stitch: {found.schedule.plan.duration_s:.4g} s, "

@@ -56,7 +56,7 @@ _PLANNER_UNITS = {
     "square_corner_velocity": "mm/s", "short_time": "ms", "tolerance": "mm", "cam_tolerance": "mm",
 }  # fmt: skip
 
-_ALONE = (
+_LIMITS_ONLY = (
     "No motor and no mass was given, so jobs are proven for limits and time, not for placement. "
     'For placement, make the machine again with --set "torque=1.26 N m": the command asks for the '
     "other values."
@@ -158,8 +158,8 @@ def settings_files(
         _assume_steps(settings, given_answers)
     text = machine_text(settings, given_answers, kind, limits_only=limits_only)
     _check(text, settings)
-    for unheeded in settings.unheeded:
-        warning(unheeded)
+    for ignored in settings.ignored:
+        warning(ignored)
     head = f"# From the settings of {settings.firmware}, by Threadline {__version__}.\n#\n"
     projects = resources.files("threadline.cli") / "projects"
     project = projects / ("limits" if limits_only else "firmware")
@@ -180,11 +180,11 @@ def settings_files(
         rows += [
             (key, text, "assumed")
             for key, text in DEFAULTS.items()
-            if key not in given_answers.given
+            if key not in given_answers.texts
         ]
     form = settings.form or settings.firmware
-    notes = [*settings.notes, *([_ALONE] if no_dynamics else [])]
-    return FromSettings(contents, form, rows, notes, settings.unheeded)
+    notes = [*settings.notes, *([_LIMITS_ONLY] if no_dynamics else [])]
+    return FromSettings(contents, form, rows, notes, settings.ignored)
 
 
 def _assume_steps(settings: Settings, answers: Answers) -> None:
@@ -195,13 +195,13 @@ def _assume_steps(settings: Settings, answers: Answers) -> None:
     if settings.firmware != "linuxcnc":
         return
     for axis, axis_settings in settings.axes.items():
-        given_steps = answers.given.get(f"steps.{axis}")
+        given_steps = answers.texts.get(f"steps.{axis}")
         given_steps = (
             given_steps if settings.turning.get(axis, False) else answers.of("steps", axis)
         )
         if axis_settings.steps is None and given_steps is None:
             name = "the INI has no scale; times do not depend on it"
-            settings.say(axis, "steps", _ANY_STEPS, Place(settings.file), name)
+            settings.record(axis, "steps", _ANY_STEPS, Place(settings.file), name)
 
 
 def read_rows(settings: Settings) -> list[Row]:
@@ -230,7 +230,7 @@ def _rows(settings: Settings, answers: Answers) -> Iterator[Row]:
         unit = of_axis if axis else _PLANNER_UNITS.get(base, "")
         name = f"{axis} {base}" if axis else base.replace("_", " ")
         yield name, f"{found.value:g} {unit}".rstrip(), _from(found)
-    for name, text in answers.given.items():
+    for name, text in answers.texts.items():
         if name.partition(".")[0] not in _UNITS:
             yield name, text, "--set"
 

@@ -36,8 +36,8 @@ _AGAIN_S = 0.01
 _NOTHING = "nothing was left half-written"
 _WHOLE = "its files are written completely"
 _ENDS = {
-    number: (128 + number, f"error: {said}; {_NOTHING}\n")
-    for number, said in (
+    number: (128 + number, f"error: {event}; {_NOTHING}\n")
+    for number, event in (
         (signal.SIGINT, "interrupted"),
         (signal.SIGTERM, "terminated"),
         (signal.SIGHUP, "hung up"),

@@ -241,7 +241,7 @@ def _beat(collected: Telling, ended: threading.Event) -> None:
         collected.look()
         if compiled_s is not None and COMPILING.lasted_s() - compiled_s > COMPILING_S:
             compiled_s = None
-            note(f"compiling machine code, {_ONCE if COMPILING.kept else _EACH_TIME}")
+            note(f"compiling machine code, {_ONCE if COMPILING.cached else _EACH_TIME}")
         if ASKING.is_set():
             began_s = last_s = time.monotonic()
         if time.monotonic() - last_s < EVERY_S:

@@ -69,7 +69,7 @@ PROJECTS = {
 
 
 @dataclass(slots=True)
-class Wanted:
+class NewProject:
     """The project to make, from the command line and answers at the terminal."""
 
     kind: str
@@ -140,30 +140,30 @@ def new(
                 remedy=f"Like threadline new {kind or 'grbl'} my-machine. Kinds: "
                 f"{', '.join([*KINDS, *PROJECTS])}.",
             )
-        wanted = _asked(kind, folder, from_, given, limits_only)
+        project = _asked(kind, folder, from_, given, limits_only)
     else:
-        wanted = Wanted(kind, folder, from_, given, limits_only)
+        project = NewProject(kind, folder, from_, given, limits_only)
     read: FromSettings | None = None
-    if wanted.kind in KINDS:
-        if wanted.source is None:
+    if project.kind in KINDS:
+        if project.source is None:
             raise OptionError(
-                f"a {wanted.kind} machine is made from the settings of its controller",
-                remedy=f"Name {ANSWERS_TO[wanted.kind]} with --from.",
+                f"a {project.kind} machine is made from the settings of its controller",
+                remedy=f"Name {ANSWERS_TO[project.kind]} with --from.",
             )
         read = settings_files(
-            wanted.kind, wanted.source, wanted.answers, limits_only=wanted.limits_only
+            project.kind, project.source, project.answers, limits_only=project.limits_only
         )
         prove, contents = PROVE, read.contents
     else:
-        prove, contents = _project(wanted.kind).prove, project_files(wanted.kind)
-        if wanted.source is not None or wanted.answers or wanted.limits_only:
+        prove, contents = _project(project.kind).prove, project_files(project.kind)
+        if project.source is not None or project.answers or project.limits_only:
             raise OptionError(
-                f"--from, --set and --limits-only do not apply to the kind {wanted.kind!r}",
+                f"--from, --set and --limits-only do not apply to the kind {project.kind!r}",
                 remedy=f"Use {', '.join(KINDS)}.",
             )
-    _check(wanted.folder)
-    _write(wanted.folder, contents)
-    _tell(wanted.folder, sorted(contents), f"threadline prove {prove}", read, json=json)
+    _check(project.folder)
+    _write(project.folder, contents)
+    _tell(project.folder, sorted(contents), f"threadline prove {prove}", read, json=json)
 
 
 def _tell(
@@ -193,28 +193,28 @@ def _asked(
     source: Path | None,
     answers: list[str],
     limits_only: bool,
-) -> Wanted:
+) -> NewProject:
     """Ask at the terminal for missing arguments, with defaults in brackets."""
     if kind is None:
         say(f"Kinds: {', '.join([*KINDS, *PROJECTS])}.")
         kind = _until_right("What the machine is", "grbl", _kind)
     if kind in KINDS and source is None:
-        wanted_kind = kind
+        project_kind = kind
         source = _until_right(
             f"File of its settings: {ANSWERS_TO[kind]}",
             "settings.txt",
-            lambda t: _source(wanted_kind, t),
+            lambda t: _source(project_kind, t),
         )
     if folder is None:
         folder = _until_right("Folder to make", f"my-{kind}", _folder)
-    wanted = Wanted(kind, folder, source, answers, limits_only)
+    project = NewProject(kind, folder, source, answers, limits_only)
     if kind not in KINDS or source is None:
-        return wanted
+        return project
     settings = settings_of(kind, source)
     if not limits_only and not settings.coupled:
-        wanted.limits_only = _until_right("Limits and times alone, without motors", "yes", _yes)
-    wanted.limits_only |= bool(settings.coupled)
-    while missing := still_missing(settings, answers, limits_only=wanted.limits_only):
+        project.limits_only = _until_right("Limits and times alone, without motors", "yes", _yes)
+    project.limits_only |= bool(settings.coupled)
+    while missing := still_missing(settings, answers, limits_only=project.limits_only):
         missing_answer = missing[0]
 
         def said(text: str, key: str = missing_answer.key) -> str:
@@ -227,7 +227,7 @@ def _asked(
                 f"{missing_answer.key}: {missing_answer.what}", missing_answer.example, said
             )
         )
-    return wanted
+    return project
 
 
 def _until_right(question: str, default: str, read: Callable[[str], Answer]) -> Answer:

@@ -19,7 +19,7 @@ from threadline.errors import CommandError, OptionError
 from threadline.live.continuing import Continued, continued_by, last_executed, operation_at
 from threadline.live.derived import Rest
 from threadline.live.feed_override import MOST_PERCENT, STEP_PERCENT, feed_words, refuse_override
-from threadline.live.job_run import UNATTENDED_S, HoldAlone, stopping_at_signals
+from threadline.live.job_run import UNATTENDED_S, HoldTimeout, stopping_at_signals
 from threadline.live.states import Cause, Desk, State
 from threadline.live.store.whole_trace import refuse_other_rows, trace_of, unfinished_run
 from threadline.live.supervised import Running
@@ -27,7 +27,9 @@ from threadline.live.supervised import Running
 _KEYS = {"h": Cause.HOLD, "r": Cause.RESUME}
 _OVERRIDES = {"-": -STEP_PERCENT, "+": STEP_PERCENT}
 """Change of the override in %, by key. Any key without a meaning stops the run."""
-_ALONE = f"nobody is at the keyboard: the run stops after {UNATTENDED_S:g} s unless it is resumed"
+_UNATTENDED = (
+    f"nobody is at the keyboard: the run stops after {UNATTENDED_S:g} s unless it is resumed"
+)
 
 
 def somebody_at_the_keys() -> bool:
@@ -63,7 +65,7 @@ class AtTheKeys:
         self._desk, self._progress, self._terminal = desk, progress, terminal
         self._duration_s = max(duration_s, 1e-9)
         self._last_hold = ""  # message already printed about the current hold
-        self._alone = HoldAlone(desk)
+        self._hold_timeout = HoldTimeout(desk)
         self._keys_shown = terminal is None
         self._asked: int | None = None  # override in %, by the latest keys
         self._overridden = MOST_PERCENT  # the override last reported
@@ -128,12 +130,12 @@ class AtTheKeys:
     def _tell_hold(self, executor: Running) -> None:
         """Print why a run holds and who can resume it; stop a hold that nobody can end."""
         if self._terminal is None:
-            self._alone.step(executor)
+            self._hold_timeout.step(executor)
         if executor.state is not State.HOLDING:
             self._last_hold = ""
             return
         nobody = self._terminal is None
-        options_text = _ALONE if nobody else "r goes on, any other key stops"
+        options_text = _UNATTENDED if nobody else "r goes on, any other key stops"
         text = (
             f"holding: {executor.why}; {options_text}"
             if executor.why

@@ -84,20 +84,20 @@ def panel(
 
     from threadline.panel.admission import Admission, PromptHttp, PromptWebsocket
     from threadline.panel.calculation import Calculation, MachineGuide
-    from threadline.panel.kept_runs import Owned
     from threadline.panel.owner_process import OwnerLink, start_owner
     from threadline.panel.panel import Panel
     from threadline.panel.protocol import MOST_TEXT
     from threadline.panel.server import check_page, make_app
+    from threadline.panel.stored_runs import Owned
 
     admission = Admission(host, token)
     check_page()
     owned = Owned(chosen, spec, folder, store, speed, link)
-    with tempfile.TemporaryDirectory(prefix="threadline-panel-") as kept_folder:
-        calculation = Calculation(chosen, spec, folder, Path(kept_folder))
+    with tempfile.TemporaryDirectory(prefix="threadline-panel-") as results_folder:
+        calculation = Calculation(chosen, spec, folder, Path(results_folder))
         owner = OwnerLink(lambda: start_owner(owned))
         served = Panel(chosen, owner, calculation, link, far_end)
-        guide = MachineGuide(chosen, Path(kept_folder))
+        guide = MachineGuide(chosen, Path(results_folder))
         app = make_app(served, guide, folder, store, admission)
         listening = _listen(host, port)
         url = f"http://{in_url(host)}:{port}/"

@@ -248,7 +248,7 @@ def _show(executed: Executed, judged: JudgedRun, plan: Plan, label: str, *, json
         elif not fault:
             note(f"{judged.text}: nothing was recorded to be judged")
         return
-    with report_failed_print(f"the verdict is in {executed.kept.path}"):
+    with report_failed_print(f"the verdict is in {executed.open_run.path}"):
         if json:
             if not fault:
                 print_json(content)
@@ -262,7 +262,7 @@ def _show(executed: Executed, judged: JudgedRun, plan: Plan, label: str, *, json
         if judged.before:
             say(as_one(judged.before))
         if not fault:
-            say(f"Run: {executed.kept.path}")
+            say(f"Run: {executed.open_run.path}")
 
 
 def register(app: typer.Typer) -> None:

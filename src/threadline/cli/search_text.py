@@ -20,7 +20,7 @@ from threadline.search.feed_ranges import Forbidden
 from threadline.search.mismatch import Certainty, Searched
 
 END = "the end of the search (--high)"
-AXES_ALONE = "the velocity limits of the axes"
+VELOCITY_LIMITS = "the velocity limits of the axes"
 """Upper end of a search for a feed without --high: no axis can go faster."""
 _ENDS = {LIMITS: "the limits of axes and drives", ALLOWED: "what --contour allows"}
 
@@ -30,7 +30,7 @@ def limit_words(limited_by: str, end: str = END) -> str:
 
     >>> limit_words("range"), limit_words("contour_error")
     ('the end of the search (--high)', 'contour_error')
-    >>> limit_words("range", AXES_ALONE)
+    >>> limit_words("range", VELOCITY_LIMITS)
     'the velocity limits of the axes'
 
     Parameters
@@ -57,7 +57,7 @@ def resolution_words(found: Fastest) -> str:
     )
 
 
-def alone_words(found: Fastest, unit: str, per_unit: float = 1.0) -> str:
+def isolated_words(found: Fastest, unit: str, per_unit: float = 1.0) -> str:
     """Return the sentence on isolated feeds, which pass while their neighbours fail; else "".
 
     Parameters
@@ -65,11 +65,11 @@ def alone_words(found: Fastest, unit: str, per_unit: float = 1.0) -> str:
     unit, per_unit
         Unit of the printed feeds, and the factor to it.
     """
-    if found.fastest is None or not found.alone:
+    if found.fastest is None or not found.isolated:
         return ""
-    feed_texts = ", ".join(typed(feed * per_unit) for feed in found.alone)
+    feed_texts = ", ".join(typed(feed * per_unit) for feed in found.isolated)
     text = f"in spec alone, out of it within {found.edge:.1%} on both sides: {feed_texts} {unit}"
-    return f"{text}; no range is in spec" if found.fastest.alone else text
+    return f"{text}; no range is in spec" if found.fastest.isolated else text
 
 
 def typed(value: float) -> str:
@@ -215,7 +215,7 @@ def settings_words(job: Job, machine: Machine, result: FastestJob) -> Iterator[s
     if result.by is FeedMode.FASTEST_AXIS and is_other_rule:
         other = f"{speed_of(job.feed_rule)} (feed mode {job.feed_rule})"
         yield f"F of this job is another speed: {other}"
-    if len(result.rungs) + len(result.left_out) < _SEARCHED:
+    if len(result.candidates) + len(result.left_out) < _SEARCHED:
         return
     shares = []
     for name, axis in machine.axes.items():

@@ -189,7 +189,7 @@ def shaper(
     given_modes = (
         modes_of(mode or [], damping)
         if measurement is None
-        else (measurement.given(banded=needs_band),)
+        else (measurement.as_option(banded=needs_band),)
     )
     modes = tuple(one.mode for one in given_modes)
     if still is not None and not moving:

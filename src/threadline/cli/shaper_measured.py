@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from threadline.base.arrays import FloatArray
-from threadline.cli.shaper_text import GivenMode
+from threadline.cli.shaper_text import ModeOption
 from threadline.errors import OptionError
 from threadline.identify.accelerometer import AXES, Spectrum, read_accelerometer
 from threadline.identify.modes import MeasuredMode, klipper_spectrum, measured_mode
@@ -58,9 +58,9 @@ class Measured:
         frequency = self.found.frequency_hz
         return min(max(frequency.half_width / frequency.value, LEAST_BAND), 0.99)
 
-    def given(self, *, banded: bool) -> GivenMode:
+    def as_option(self, *, banded: bool) -> ModeOption:
         """Return the mode as ``--mode`` would give it."""
-        return GivenMode(self.found.mode, self.band if banded else None)
+        return ModeOption(self.found.mode, self.band if banded else None)
 
     def worst(self, train: Shaper) -> float:
         """Return the largest vibration over the intervals of frequency and damping."""

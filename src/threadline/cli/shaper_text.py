@@ -45,7 +45,7 @@ _IN_BAND, _ROUNDED = 201, 1.005
 
 
 @dataclass(frozen=True, slots=True)
-class GivenMode:
+class ModeOption:
     """A mode given by ``--mode``; a part that is None takes the value for all modes.
 
     Parameters
@@ -63,7 +63,7 @@ class GivenMode:
     tolerance: float | None = None
 
 
-def modes_of(texts: Sequence[str], damping: Sequence[float] | None) -> tuple[GivenMode, ...]:
+def modes_of(texts: Sequence[str], damping: Sequence[float] | None) -> tuple[ModeOption, ...]:
     """Return the modes in ``texts``, each ``FREQUENCY[:DAMPING[:BAND[:TOLERANCE]]]``.
 
     Raises
@@ -81,14 +81,14 @@ def modes_of(texts: Sequence[str], damping: Sequence[float] | None) -> tuple[Giv
             remedy="Give --damping once, or once for each --mode.",
         )
     modes = tuple(
-        _given_mode(text, ratio, given=damping is not None)
+        _mode_option(text, ratio, given=damping is not None)
         for text, ratio in zip(texts, ratios, strict=True)
     )
     _refuse_overlaps(modes)
     return modes
 
 
-def _given_mode(text: str, ratio: float, *, given: bool) -> GivenMode:
+def _mode_option(text: str, ratio: float, *, given: bool) -> ModeOption:
     words = [word.strip() for word in text.split(":")]
     if len(words) > 4 or not all(words):
         raise OptionError(
@@ -102,7 +102,7 @@ def _given_mode(text: str, ratio: float, *, given: bool) -> GivenMode:
                 remedy="Leave --damping out.",
             )
         ratio = _share(words[1], "the damping ratio", text)
-    return GivenMode(
+    return ModeOption(
         FlexibleMode(parse_mode_hz(words[0]), ratio),
         _within(words[2], "the band", text) if len(words) > 2 else None,
         _within(words[3], "the tolerance", text) if len(words) > 3 else None,
@@ -132,7 +132,7 @@ def _within(word: str, what: str, text: str) -> float:
     return value
 
 
-def _refuse_overlaps(modes: Sequence[GivenMode]) -> None:
+def _refuse_overlaps(modes: Sequence[ModeOption]) -> None:
     bands = sorted(
         (a.mode.frequency_hz * (1.0 - a.band), a.mode.frequency_hz * (1.0 + a.band), a)
         for a in modes
@@ -147,12 +147,12 @@ def _refuse_overlaps(modes: Sequence[GivenMode]) -> None:
             )
 
 
-def bands_of(modes: Sequence[GivenMode], band: float) -> tuple[float, ...]:
+def bands_of(modes: Sequence[ModeOption], band: float) -> tuple[float, ...]:
     """Return the half band width of every mode: the mode's own value, or else ``band``."""
     return tuple(band if one.band is None else one.band for one in modes)
 
 
-def tolerances_of(modes: Sequence[GivenMode], tolerance: float) -> tuple[float, ...]:
+def tolerances_of(modes: Sequence[ModeOption], tolerance: float) -> tuple[float, ...]:
     """Return the tolerance of every mode: the mode's own value, or else ``tolerance``."""
     return tuple(tolerance if one.tolerance is None else one.tolerance for one in modes)
 
@@ -334,7 +334,7 @@ def damping_warnings(modes: Sequence[FlexibleMode]) -> list[str]:
 
 def shape_two_axes(
     kind: str,
-    modes: Sequence[GivenMode],
+    modes: Sequence[ModeOption],
     tolerances: Sequence[float],
     bands: Sequence[float],
     others: Sequence[object],

@@ -125,8 +125,8 @@ def size(
     if json:
         print_json(_content(sizing))
         return
-    for said in sizing.warnings:
-        warning(said)
+    for text in sizing.warnings:
+        warning(text)
     rows = [
         [line.name, f"{line.value:.5g} {line.unit}".rstrip(), f"{line.formula} ({line.source})"]
         for line in sizing.lines

@@ -24,8 +24,8 @@ from threadline.search.tune import (
     parse_controller,
     parse_rule,
     tune,
+    tuning_goal,
     usual_controller,
-    wanted_tuning,
     write_tuned,
 )
 from threadline.search.tuning import MEASURES, RULES, JobRun, TunedAxis, Tuning, label
@@ -137,10 +137,10 @@ def tune_loops(
         raise OptionError("--spec is the specification of jobs", remedy="Add --job FILE.")
     kind = usual_controller(chosen) if controller is None else parse_controller(controller)
     tuning_rule = parse_rule(rule or "margin")
-    wanted = wanted_tuning(chosen, axis, margin or "60 deg", crossover)
+    goal = tuning_goal(chosen, axis, margin or "60 deg", crossover)
     job_spec = None if spec is None else load_spec(spec, chosen)
     with progress_bar(not json) as progress:
-        tuning = tune(chosen, wanted, job or (), job_spec, progress)
+        tuning = tune(chosen, goal, job or (), job_spec, progress)
     if output is not None:
         write_tuned(tuning, kind, tuning_rule, output)
     if json:

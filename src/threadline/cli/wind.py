@@ -263,7 +263,7 @@ def _content(winding: Winding, laid: tuple[Laid, ...]) -> dict[str, Any]:
                     {
                         "circuits": p.circuits, "shift": p.shift, "beside": p.beside,
                         "leading": p.leading, "turns": p.turns, "coverage": p.coverage,
-                        "off_rad": p.off, "closed_by": list(p.ways),
+                        "off_rad": p.off, "closed_by": list(p.closings),
                     }
                     for p in one.table
                 ],

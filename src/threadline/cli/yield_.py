@@ -150,15 +150,15 @@ def yield_(
     Example: threadline yield examples/x-180.prg -m lathe-winder --variants 1000
     """
     worst, at_least = drawing.worst, drawing.at_least
-    wanted = None if at_least is None else parse_yield(at_least)
+    yield_goal = None if at_least is None else parse_yield(at_least)
     part = _part(drawing, report)
     question = _question(job, machine, words, drawing)
     variants, seed = question.variants, question.seed
     chosen = question.words.machine(question.machine)
     _check_files(drawing, report, [*job, question.job, chosen.file, *question.words.files()])
     judged, judged_spec = planned_yield(question.words, question.job, chosen)
-    if wanted is not None:
-        _check_reachable(variants, wanted, at_least or "")
+    if yield_goal is not None:
+        _check_reachable(variants, yield_goal, at_least or "")
     warn(chosen, judged.plan.job, own_feed=question.words.options().own_feeds)
     with progress_bar(not json) as progress:
         found = _found(question, part, (judged, judged_spec), drawing.resume, progress)
@@ -168,10 +168,12 @@ def yield_(
             raise typer.Exit(0)
         worst_machine = judged.worst(found, counted(progress, "looking for the worst machine"))
         sensitivities = sensitivities_of(judged, variants, seed, progress) if drawing.why else None
-        is_enough = found.passed == variants if wanted is None else found.interval[0] >= wanted
+        is_enough = (
+            found.passed == variants if yield_goal is None else found.interval[0] >= yield_goal
+        )
         cheapest = None
-        if wanted is not None and not is_enough:
-            cheapest = _cheapest(judged, wanted, question, progress)
+        if yield_goal is not None and not is_enough:
+            cheapest = _cheapest(judged, yield_goal, question, progress)
         level = Level.DRAWN
         drawn_from = judged.plan.machine
         ran = "" if drawn_from.sha256 == chosen.sha256 else f", run by {drawn_from.name}"
@@ -204,11 +206,11 @@ def yield_(
 
 
 def _cheapest(
-    judged: MachineYield, wanted: float, question: Question, progress: Progress
+    judged: MachineYield, yield_goal: float, question: Question, progress: Progress
 ) -> CheapestSet:
     done = counted(progress, "looking for the cheapest set of tolerances")
     machine_count = MACHINES if judged.together else min(MACHINES, question.variants)
-    return cheapest_set(judged, wanted, question.seed, machines=machine_count, done=done)
+    return cheapest_set(judged, yield_goal, question.seed, machines=machine_count, done=done)
 
 
 def _found(
@@ -304,15 +306,15 @@ def _drawn(found: Yield, title: str, folder: Path) -> Path:
     return write_yield(found, title, folder)
 
 
-def _check_reachable(variants: int, wanted: float, text: str) -> None:
+def _check_reachable(variants: int, yield_goal: float, text: str) -> None:
     """Refuse a wanted yield that so few machines cannot prove, even if all are in spec."""
     best = clopper_pearson(variants, variants)[0]
-    if best < wanted:
+    if best < yield_goal:
         tail = 0.5 * (1.0 - CONFIDENCE)
         raise OptionError(
             f"--at-least {text!r} cannot be proved by {variants} machines: if all of them are in "
             f"spec, at least {100.0 * best:.4g} % of all are",
-            remedy=f"Draw more: --variants {ceil(log(tail) / log(wanted))}.",
+            remedy=f"Draw more: --variants {ceil(log(tail) / log(yield_goal))}.",
         )
 
 

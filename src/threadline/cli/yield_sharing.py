@@ -79,7 +79,7 @@ def question_from_parts(
     ----------
     machine, words
         As typed with ``--merge``: neither may be given.
-    given
+    values
         Options that have no meaning for a merge, or another value than in the parts: each by its
         name, with its value, None if it was left out.
 
@@ -168,7 +168,7 @@ def words_for_part(words: Words) -> dict[str, str | int | float | bool]:
     where_judged = {one.word for one in options_for(words.verb, groups=[Group.WHERE])}
     given = {
         word: value if isinstance(value, bool | int | float) else str(value)
-        for word, value in words.given.items()
+        for word, value in words.values.items()
         if value is not None and value is not False and word not in where_judged
     }
     defaults = known_words(words.verb, Door.LINE, {})
@@ -207,7 +207,7 @@ def check_part_options(
 
     Parameters
     ----------
-    given
+    values
         Options of the whole, by name; None or False for options that were left out.
     whole, some
         Names of the divided work, and of its items.

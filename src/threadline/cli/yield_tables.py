@@ -17,7 +17,7 @@ from threadline.search.influence import MACHINES, CheapestSet, Influence, influe
 from threadline.search.machine_yield import MachineYield, yield_words
 
 SAMPLES = 256
-_SAMPLES_ALONE = 16  # number of samples if machines are simulated one by one
+_SAMPLES_SERIAL = 16  # number of samples if machines are simulated one by one
 
 
 def counted(progress: Progress, what: str, total: int | None = None) -> Done:
@@ -66,7 +66,7 @@ def sensitivities_of(
     """Return the sensitivities; use at most ``variants`` machines if simulated one by one."""
     normal = [number.normal for number in judged.numbers]
     machines = MACHINES if judged.together else min(MACHINES, variants)
-    samples = SAMPLES if judged.together else _SAMPLES_ALONE
+    samples = SAMPLES if judged.together else _SAMPLES_SERIAL
     total = (len(normal) + 1) * machines + judgements(len(normal), samples)
     done = counted(progress, "what the yield depends on", total)
 
@@ -125,13 +125,13 @@ def sensitivity_content(sensitivities: Sensitivities, judged: MachineYield) -> d
     }
 
 
-def show_set(found: CheapestSet, judged: MachineYield, wanted: str) -> None:
+def show_set(found: CheapestSet, judged: MachineYield, yield_goal: str) -> None:
     """Print which tolerances to halve, and the yield of machines with these tolerances."""
     words = (
         f"{found.passed} of {found.tried} machines in spec, {yield_words(found.interval)} of all"
     )
     if not found.reached:
-        say(f"no set of tolerances was found that reaches {wanted}; the best of them: {words}")
+        say(f"no set of tolerances was found that reaches {yield_goal}; the best of them: {words}")
         return
     rows = []
     for number, factor in zip(judged.numbers, found.factors.tolist(), strict=True):
@@ -143,7 +143,7 @@ def show_set(found: CheapestSet, judged: MachineYield, wanted: str) -> None:
             )
             rows.append([number.name, present_text, new_text, f"1/{1.0 / factor:.0f}"])
     head = ["number", "tolerance", "instead", "of it"]
-    print_table(f"cheapest set that reaches {wanted}: {found.halvings} halvings", head, rows)
+    print_table(f"cheapest set that reaches {yield_goal}: {found.halvings} halvings", head, rows)
     say(f"with it: {words}")
 
 

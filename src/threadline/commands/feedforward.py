@@ -102,7 +102,7 @@ def followed_by_motors(
 
 
 ROWS = 2048  # references processed at once
-KEPT = 32  # most blocks of references kept in memory
+MOST_CACHED = 32  # most blocks of references kept in memory
 
 
 def followed_by_loads(
@@ -221,13 +221,15 @@ class _Motion:
     def _read(self, trajectory: Trajectory) -> tuple[_References, Trajectory]:
         """Read the references once for the demands, and keep the blocks of a short motion."""
         reading = _References(trajectory, self.machine, self.model)
-        kept: list[TrajectoryBlock] | None = []
+        cached: list[TrajectoryBlock] | None = []
         for block in reading.blocks():
-            if kept is not None:
-                kept.append(block)
-                kept = kept if len(kept) <= KEPT else None
+            if cached is not None:
+                cached.append(block)
+                cached = cached if len(cached) <= MOST_CACHED else None
         references = reference_trajectory(trajectory, self.machine, self.model)
-        return reading, references if kept is None else replace(references, blocks=Stream.of(kept))
+        return reading, references if cached is None else replace(
+            references, blocks=Stream.of(cached)
+        )
 
 
 def reference_trajectory(
@@ -323,15 +325,18 @@ class _Column:
         time_s = np.arange(self._next, stop) * timing.tick_s
         early_s = np.arange(self._next_early, stop + preview.ahead) * timing.tick_s + timing.early_s
         self._next, self._next_early = stop, stop + preview.ahead
-        now = motion.ladder(time_s, preview.orders)[:, :, self._column]
-        early = motion.ladder(early_s, preview.orders)[:, :, self._column]
+        now = motion.derivatives(time_s, preview.orders)[:, :, self._column]
+        early = motion.derivatives(early_s, preview.orders)[:, :, self._column]
         references = preview.feed(time_s, now, early)
         self._ends.add(preview.latest)
         self._time_s = np.concatenate([self._time_s, time_s])
         self._references = np.concatenate([self._references, references])
         result = np.interp(due_s + timing.held_s, self._time_s, self._references)
-        kept = max(int(np.searchsorted(self._time_s, due_s[-1])) - 2, 0)
-        self._time_s, self._references = self._time_s[kept:], self._references[kept:]
+        first_needed = max(int(np.searchsorted(self._time_s, due_s[-1])) - 2, 0)
+        self._time_s, self._references = (
+            self._time_s[first_needed:],
+            self._references[first_needed:],
+        )
         return np.asarray(result)
 
 

@@ -97,8 +97,8 @@ def write_firmware_program(
                 )
             refuse_slower(target, job, as_run_s, override)
         WRITING.pass_to(0.9)
-        ways = (item.points for item in planned if isinstance(item, Chord))
-        early = tuple(early_moves(job, ways, machine))
+        paths = (item.points for item in planned if isinstance(item, Chord))
+        early = tuple(early_moves(job, paths, machine))
     return replace(written(path, (f"{path.name}: {summary}", *early)), as_run_s=as_run_s)
 
 
@@ -233,12 +233,12 @@ class _Lines:
             if g != modal or self._dialect.each_g:
                 words.insert(0, f"G{g}")
             modal = g
-            wanted = f"{60_000.0 * item.speed:.6g}"
-            if "e" in wanted:
-                wanted = f"{60_000.0 * item.speed:.12f}".rstrip("0").rstrip(".")
-            if wanted != feed and (g == 1 or self._dialect.rapid_is_feed):
-                words.append(f"F{wanted}")
-                feed = wanted
+            f_text = f"{60_000.0 * item.speed:.6g}"
+            if "e" in f_text:
+                f_text = f"{60_000.0 * item.speed:.12f}".rstrip("0").rstrip(".")
+            if f_text != feed and (g == 1 or self._dialect.rapid_is_feed):
+                words.append(f"F{f_text}")
+                feed = f_text
             yield begins_s, " ".join(words)
         yield from ((now_s, act.words) for act in waiting)
         yield from ((now_s, line) for line in self._board.end)
@@ -384,12 +384,12 @@ class _First(NamedTuple):
     before: FloatArray
 
 
-def early_moves(job: Job, ways: Iterable[FloatArray], machine: Machine) -> Iterator[str]:
+def early_moves(job: Job, paths: Iterable[FloatArray], machine: Machine) -> Iterator[str]:
     """Yield a sentence for each linear axis that moves too early.
 
     Parameters
     ----------
-    ways
+    paths
         (n, axes) points of each move of the written program, the place before it included.
     """
     start = np.array(job.start)
@@ -398,7 +398,7 @@ def early_moves(job: Job, ways: Iterable[FloatArray], machine: Machine) -> Itera
         for k, first in _first_moves(job).items()
         if machine.axes[job.axes[k]].kind == "linear" and np.any(first.before != start)
     }
-    for points in ways:
+    for points in paths:
         if not waiting:
             return
         for k in [k for k in waiting if points[-1][k] != start[k]]:

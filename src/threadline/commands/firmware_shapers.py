@@ -27,21 +27,23 @@ def klipper_section(machine: Machine, axes: Sequence[str]) -> list[str]:
     MachineError
         If the equations of an axis are not linear, here as in the other functions.
     """
-    said, modes = _modes(machine, axes, "XYZ", "Klipper", "[input_shaper]")
+    parameters, modes = _modes(machine, axes, "XYZ", "Klipper", "[input_shaper]")
     section = []
     for axis, (mode, why) in modes.items():
         found = shortest_type(mode)
         if found is None:
-            said[axis] = f"{why}: no type of Klipper's leaves {LEFT:.0%} within {BAND:.0%} of it"
+            parameters[axis] = (
+                f"{why}: no type of Klipper's leaves {LEFT:.0%} within {BAND:.0%} of it"
+            )
             continue
         name, left = found
-        said[axis] = f"{why}: {name} leaves {left:.1%} of it at most, {BAND:.0%} off"
+        parameters[axis] = f"{why}: {name} leaves {left:.1%} of it at most, {BAND:.0%} off"
         section += [
             f"shaper_type_{axis.lower()}: {name}",
             f"shaper_freq_{axis.lower()}: {mode.frequency_hz:.6g}",
             f"damping_ratio_{axis.lower()}: {mode.damping_ratio:.6g}",
         ]
-    return [*said.values(), *(["[input_shaper]", *section] if section else [])]
+    return [*parameters.values(), *(["[input_shaper]", *section] if section else [])]
 
 
 def marlin_commands(machine: Machine, axes: Sequence[str]) -> list[str]:
@@ -49,17 +51,17 @@ def marlin_commands(machine: Machine, axes: Sequence[str]) -> list[str]:
 
     Marlin has one shaper type; its F is the damped frequency.
     """
-    said, modes = _modes(machine, axes, "XY", "Marlin", "M593")
+    parameters, modes = _modes(machine, axes, "XY", "Marlin", "M593")
     commands = []
     for axis, (mode, why) in modes.items():
         damped_hz = damped_frequency_hz(mode)
         train = marlin_impulses(damped_hz, mode.damping_ratio)
-        said[axis] = (
+        parameters[axis] = (
             f"{why}: Marlin's ZV leaves {largest_residual(train, [mode], band=0.0):.1%} of it, and "
             f"{largest_residual(train, [mode]):.0%} at most, {BAND:.0%} off"
         )
         commands.append(f"M593 {axis} F{damped_hz:.6g} D{mode.damping_ratio:.6g}")
-    return [*said.values(), *commands]
+    return [*parameters.values(), *commands]
 
 
 def reprap_command(machine: Machine, axes: Sequence[str]) -> list[str]:
@@ -67,8 +69,8 @@ def reprap_command(machine: Machine, axes: Sequence[str]) -> list[str]:
 
     RepRapFirmware has one train for all axes, and applies it to moves in which X or Y takes part.
     """
-    said, modes = _modes(machine, axes, "".join(axes), "RepRapFirmware", "M593")
-    lines = list(said.values())
+    parameters, modes = _modes(machine, axes, "".join(axes), "RepRapFirmware", "M593")
+    lines = list(parameters.values())
     if not modes:
         return lines
     found = shortest_for_all([mode for mode, _ in modes.values()])
@@ -89,18 +91,18 @@ def _modes(
     """Return a comment for each axis, and the slowest mode of each axis with modes."""
     if machine.without_dynamics:
         return {"": f"no {setting}: the machine file has no dynamics, and no modes"}, {}
-    said: dict[str, str] = {}
+    parameters: dict[str, str] = {}
     modes: dict[str, tuple[FlexibleMode, str]] = {}
     for axis in axes:
         held = modes_held(machine, axis) if axis in shaped else ()
         if axis not in shaped:
-            said[axis] = f"{axis}: {firmware} shapes {', '.join(shaped)} alone"
+            parameters[axis] = f"{axis}: {firmware} shapes {', '.join(shaped)} alone"
         elif not held:
-            said[axis] = f"{axis}: rigid in the machine file, nothing to shape"
+            parameters[axis] = f"{axis}: rigid in the machine file, nothing to shape"
         else:
             mode = FlexibleMode(frequency_hz=held[0].frequency_hz, damping_ratio=held[0].damping)
-            said[axis] = (
+            parameters[axis] = (
                 f"{axis}: {mode.frequency_hz:.4g} Hz, damping ratio {mode.damping_ratio:.3g}"
             )
-            modes[axis] = mode, said[axis]
-    return said, modes
+            modes[axis] = mode, parameters[axis]
+    return parameters, modes

@@ -172,19 +172,19 @@ class Motion:
 
         The programmed path is read once, and no further than needed.
         """
-        wanted = np.unique(np.array(list(operations), dtype=np.int64))
+        numbers = np.unique(np.array(list(operations), dtype=np.int64))
         lines: dict[int, int] = {}
         latest = 0
-        for block in self.programmed if len(wanted) else ():
-            if len(lines) == len(wanted) or not len(block):
+        for block in self.programmed if len(numbers) else ():
+            if len(lines) == len(numbers) or not len(block):
                 break
-            due = wanted[len(lines) :]
+            due = numbers[len(lines) :]
             due = due[due < block.operation[-1]]
             at = np.searchsorted(block.operation, due, side="right") - 1
             for operation, index in zip(due.tolist(), at.tolist(), strict=True):
                 lines[operation] = int(block.line[index]) if index >= 0 else latest
             latest = int(block.line[-1])
-        for operation in wanted[len(lines) :].tolist():
+        for operation in numbers[len(lines) :].tolist():
             lines[operation] = latest
         return lines
 

@@ -30,7 +30,7 @@ _STRAIGHT = 1e-6  # one minus the cosine of a turn that counts as straight
 
 _MOST_POINTS = 100_000
 _STRAIGHT_M = 2.0 * CLOSE_M  # points nearer to a line are on it: both its ends are rounded, too
-MOST_KEPT = 24_000_000
+MOST_CACHED = 24_000_000
 """Numbers of a plan that are kept in memory between two passes over it; 192 MB."""
 
 
@@ -51,29 +51,29 @@ class Chord(NamedTuple):
 class Runs:
     """The operations and the runs of moves of a plan, kept from the first pass to the next ones.
 
-    A plan of more than ``MOST_KEPT`` numbers is read anew each time: memory stays bounded.
+    A plan of more than ``MOST_CACHED`` numbers is read anew each time: memory stays bounded.
     """
 
     def __init__(self, read: Callable[[], Iterator[Operation | ChordRun]]) -> None:
         self._read = read
-        self._kept: list[Operation | ChordRun] | None = None
+        self._cached: list[Operation | ChordRun] | None = None
 
     def __iter__(self) -> Iterator[Operation | ChordRun]:
         """Yield operations and runs in order."""
-        if self._kept is not None:
-            yield from self._kept
+        if self._cached is not None:
+            yield from self._cached
             return
         found: list[Operation | ChordRun] = []
         numbers = 0
         for item in self._read():
             numbers += item.ends.size + item.rates.size if isinstance(item, ChordRun) else 1
-            if numbers <= MOST_KEPT:
+            if numbers <= MOST_CACHED:
                 found.append(item)
             else:
                 found.clear()
             yield item
-        if numbers <= MOST_KEPT:
-            self._kept = found
+        if numbers <= MOST_CACHED:
+            self._cached = found
 
 
 @dataclass(frozen=True, slots=True, eq=False)

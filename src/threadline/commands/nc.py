@@ -70,8 +70,8 @@ def fold(blocks: Iterable[OutBlock], *, most_kept: int = MAX_KEPT) -> Iterator[O
     A body longer than ``MAX_BODY`` blocks, and every body that would bring the blocks in memory
     above ``most_kept``, is written out instead.
     """
-    kept: dict[tuple[OutBlock, ...], None] = {}
-    kept_blocks = 0
+    bodies: dict[tuple[OutBlock, ...], None] = {}
+    body_blocks = 0
     pending: Loop | None = None
     for pass_, group in groupby(blocks, key=_outermost_pass):
         if pass_ == 0:
@@ -87,12 +87,12 @@ def fold(blocks: Iterable[OutBlock], *, most_kept: int = MAX_KEPT) -> Iterator[O
         if pending is not None:
             yield pending
             pending = None
-        if body not in kept:
-            if len(body) > MAX_BODY or kept_blocks + len(body) > most_kept:
+        if body not in bodies:
+            if len(body) > MAX_BODY or body_blocks + len(body) > most_kept:
                 yield from chain(body, group)
                 continue
-            kept[body] = None
-            kept_blocks += len(body)
+            bodies[body] = None
+            body_blocks += len(body)
         pending = Loop(body, 1)
     if pending is not None:
         yield pending
@@ -226,7 +226,7 @@ class _Writer:
         )
         if self._linuxcnc:
             yield self._numbered(self._words("G", 64), f"P{self._blend}")
-        ended = False
+        has_end = False
         for item in items:
             if isinstance(item, Loop):
                 label = self._bodies.setdefault(item.body, MAIN_LABEL + 1 + len(self._bodies))
@@ -245,8 +245,8 @@ class _Writer:
                 self._forget()
             else:
                 yield from self._block(item)
-                ended = item.final
-        if not ended:
+                has_end = item.final
+        if not has_end:
             yield self._numbered(self._words("M", 30))
         for body, label in self._bodies.items():
             yield f"O{self._blank}{label}{self._end}"
@@ -416,10 +416,10 @@ def _farthest_m(job: Job, machine: Machine, path: Path, dialect: str) -> float:
     radius = machine.radius_m[[machine.axis_names.index(axis) for axis in job.axes]]
     again = read_part_program(path, machine=machine, dialect=dialect)
     order = [again.axes.index(axis) for axis in job.axes]
-    wanted, found = _ends_of_moves(job), _ends_of_moves(again)[:, order]
-    if wanted.shape != found.shape:
-        raise _not_the_job(f"{len(found)} moves instead of {len(wanted)}")
-    off = float(np.abs((found - wanted) * radius).max())
+    expected, found = _ends_of_moves(job), _ends_of_moves(again)[:, order]
+    if expected.shape != found.shape:
+        raise _not_the_job(f"{len(found)} moves instead of {len(expected)}")
+    off = float(np.abs((found - expected) * radius).max())
     if off > _NEAR_M:
         raise _not_the_job(f"{1e3 * off:.3g} mm beside the job")
     return off

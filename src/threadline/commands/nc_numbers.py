@@ -16,12 +16,12 @@ _SCALES = tuple(10.0**decimals for decimals in range(MAX_DECIMALS))
 _UNREADABLE = 2e-15
 
 
-def shortest(wanted: float, factor: Fraction | None, read: Callable[[int], float]) -> int:
-    """Return the exact number with the fewest decimals that ``read`` turns into ``wanted``.
+def shortest(target: float, factor: Fraction | None, read: Callable[[int], float]) -> int:
+    """Return the exact number with the fewest decimals that ``read`` turns into ``target``.
 
     Parameters
     ----------
-    wanted
+    target
         Value in SI units.
     factor
         Program units per SI unit; None converts radians to degrees.
@@ -31,15 +31,15 @@ def shortest(wanted: float, factor: Fraction | None, read: Callable[[int], float
     Returns
     -------
     int
-        Number in units of 10**-18. If no decimal reads back as ``wanted`` (an angle that no
+        Number in units of 10**-18. If no decimal reads back as ``target`` (an angle that no
         program can give, or a value with digits beyond the 17th decimal), the nearest decimal. Its
         error is below two units in the last place, or 1e-17 of the unit.
     """
-    approximate = math.degrees(wanted) if factor is None else wanted * float(factor)
-    # If a decimal of at most 15 digits reads back as ``wanted``, it has these digits.
+    approximate = math.degrees(target) if factor is None else target * float(factor)
+    # If a decimal of at most 15 digits reads back as ``target``, it has these digits.
     near = f"{approximate:.15g}"
     known = None if "e" in near else exact(near)
-    if known is not None and read(known) == wanted:
+    if known is not None and read(known) == target:
         return known
     for decimals, scale in enumerate(_SCALES):
         scaled = approximate * scale
@@ -48,18 +48,18 @@ def shortest(wanted: float, factor: Fraction | None, read: Callable[[int], float
         value = exact(f"{approximate:.{decimals}f}")
         if value is None:
             raise PlanError(
-                f"{wanted:g} is too large a number for a part program", remedy="Shorten the job."
+                f"{target:g} is too large a number for a part program", remedy="Shorten the job."
             )
-        if read(value) == wanted:
+        if read(value) == target:
             return value
     if factor is not None:
-        return 10 * round(Fraction(wanted) * factor * (ONE // 10))
+        return 10 * round(Fraction(target) * factor * (ONE // 10))
     candidates = [approximate]
     for direction in (math.inf, -math.inf):
         beside = math.nextafter(approximate, direction)
         candidates += [beside, math.nextafter(beside, direction)]
     values = [exact(f"{one:.{MAX_DECIMALS}f}") or 0 for one in candidates]
-    return min(values, key=lambda value: abs(read(value) - wanted))
+    return min(values, key=lambda value: abs(read(value) - target))
 
 
 _REMEMBERED = 1 << 15  # numbers kept: the circuits of a winding repeat them

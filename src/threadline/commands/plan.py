@@ -86,18 +86,18 @@ class Plan:
         """Words for the planning method."""
         return self.intent.planned_with(self.options)
 
-    def intended(self, wanted: type[IntentT]) -> IntentT:
-        """Return the intent of this plan, which must be of type ``wanted``.
+    def intended(self, intent_type: type[IntentT]) -> IntentT:
+        """Return the intent of this plan, which must be of type ``intent_type``.
 
         Raises
         ------
         PlanError
             If the intent is of another type: a schedule has no path, and a path has no schedule.
         """
-        if not isinstance(self.intent, wanted):
+        if not isinstance(self.intent, intent_type):
             raise PlanError(
                 f"{self.job.name} on {self.machine.name} is planned as "
-                f"{type(self.intent).__name__}, not as {wanted.__name__}",
+                f"{type(self.intent).__name__}, not as {intent_type.__name__}",
                 remedy="Take a machine and a job of the other kind.",
             )
         return self.intent

@@ -220,7 +220,7 @@ class _Merged:
         self._moves: dict[int, Move] = {}
         self._target = job.start
         self._read = -1
-        self._ended = False
+        self._exhausted = False
         self.source = Source(job.file, 0)
         self.feed: Feed | None = None
         self.acts: tuple[ToolEvent, ...] = ()  # actions of begun moves, for the next chord
@@ -230,10 +230,10 @@ class _Merged:
 
         A move without travel has no pieces; the pause after it belongs to the move before.
         """
-        while not self._ended and self._read <= operation:
+        while not self._exhausted and self._read <= operation:
             self._read, found = next(self._operations, (self._read, None))
             if found is None:
-                self._ended = True
+                self._exhausted = True
             elif isinstance(found, Move):
                 self._moves[self._read] = found
                 if max(map(abs, map(sub, found.target, self._target))) <= _STAYS:

@@ -51,14 +51,14 @@ class Names:
     def __init__(self, taken: Iterable[str] = ()) -> None:
         self._taken = {name.lower() for name in taken}
 
-    def give(self, wanted: str) -> str:
-        """Return a valid name as close to ``wanted`` as possible.
+    def give(self, preferred: str) -> str:
+        """Return a valid name as close to ``preferred`` as possible.
 
         >>> names = Names()
         >>> names.give("step"), names.give("x-low"), names.give("X_low"), names.give("2nd__try")
         ('step_signal', 'x_low', 'X_low_2', 'n2nd_try')
         """
-        name = re.sub(r"[^A-Za-z0-9]+", "_", wanted).strip("_") or "unnamed"
+        name = re.sub(r"[^A-Za-z0-9]+", "_", preferred).strip("_") or "unnamed"
         name = name[:_MAX_LENGTH].rstrip("_")
         if name[0].isdigit():
             name = f"n{name}"

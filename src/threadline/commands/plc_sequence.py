@@ -457,12 +457,12 @@ def _before_vacuum(
 
 def _guarded(machine: Machine, places: tuple[NamedPlace, ...], names: Names) -> Iterator[Guarded]:
     for axis in machine.cylinders:
-        ways = [named.watch[axis] for named in places if axis in named.watch]
-        if not ways:
+        axis_watches = [named.watch[axis] for named in places if axis in named.watch]
+        if not axis_watches:
             continue
         known: dict[tuple[float, float], str] = {}
         factor, unit = machine.cylinders[axis].usual
-        for way in ways:
+        for way in axis_watches:
             key = round(way.begin_m, 9), round(way.end_m, 9)
             if key not in known:
                 begin, end = (f"{value * factor:g}" for value in key)

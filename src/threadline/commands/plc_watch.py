@@ -108,7 +108,7 @@ def reads(contact: Contact, place_m: float) -> bool | None:
 def watches(scheduled: Scheduled, net: PetriNet) -> list[dict[str, Watch]]:
     """Return, for every place of the net, the watch of each cylinder with end switches."""
     machine = scheduled.machine
-    ways = {axis: _moves_since(scheduled, axis, -1) for axis in scheduled.axes}
+    moves_of = {axis: _moves_since(scheduled, axis, -1) for axis in scheduled.axes}
     found: list[dict[str, Watch]] = []
     for number, place in enumerate(net.places):
         before = found[-1] if found else {}
@@ -116,10 +116,10 @@ def watches(scheduled: Scheduled, net: PetriNet) -> list[dict[str, Watch]]:
             found.append(before)
             continue
         if scheduled.homings:
-            ways = {a: _moves_since(scheduled, a, place.begin_tick) for a in scheduled.axes}
+            moves_of = {a: _moves_since(scheduled, a, place.begin_tick) for a in scheduled.axes}
         now = {
             axis: _watch(machine, place, before.get(axis), axis, moves, net.scan_ms)
-            for axis, moves in ways.items()
+            for axis, moves in moves_of.items()
             if switches_of(machine, axis) and not _anywhere(scheduled, axis, place.begin_tick)
         }
         for axis, watch in now.items():
@@ -165,12 +165,12 @@ def _watch(
     place: NetPlace,
     before: Watch | None,
     axis: str,
-    ways: list[ScheduledMove],
+    moves: list[ScheduledMove],
     scan_ms: int,
 ) -> Watch:
-    begun = [way for way in ways if way.first_tick <= place.begin_tick]
+    begun = [way for way in moves if way.first_tick <= place.begin_tick]
     if not begun:
-        start_m = ways[0].begin_m if ways else 0.0
+        start_m = moves[0].begin_m if moves else 0.0
         return Watch(axis=axis, begin_m=start_m, end_m=start_m)
     way, cylinder = begun[-1], machine.cylinders[axis]
     calm_ms = 1000.0 * cylinder.rest_s(way.forward)

@@ -138,13 +138,13 @@ def robust_averages(
             )
         )
     program = _Program(planned.axes, axes, change_s=change_s, grid_s=grid_s, samples=samples)
-    leads, wanted, swing = leads_of(planned), _shares(job), _swing(job)
+    leads, shares, swing = leads_of(planned), _shares(job), _swing(job)
     of = _SOONER if len(machines) > 1 else 1.0
     turn_s = change_s / TURNS if smoothing_s is None else None
     own: dict[bool, list[RobustWeights]] = {}
     warnings: list[str] = []
     for stop, leads_s in ((False, leads.starts_s), (True, leads.stops_s)):
-        ways = [
+        groups = [
             [
                 [
                     _change(
@@ -152,7 +152,7 @@ def robust_averages(
                         early_s,
                         stop=stop,
                         leads_s=leads_s,
-                        share=wanted,
+                        share=shares,
                         of=of,
                         swing=_SOONER * swing,
                     )
@@ -162,9 +162,9 @@ def robust_averages(
             for alike in _departures_s(change_s, leads_s[0])
         ]
         try:
-            own[stop], notes = program.speed_or_length(ways, turn_s)
+            own[stop], notes = program.speed_or_length(groups, turn_s)
         except PlanError as error:
-            raise _without_limit(program, ways, turn_s, swing) or error from None
+            raise _without_limit(program, groups, turn_s, swing) or error from None
         warnings += notes
     even = own[False]
     if steps.bent or steps.bends.any():
@@ -184,17 +184,19 @@ def robust_averages(
 
 
 def _without_limit(
-    program: _Program, ways: _Ways, turn_s: float | None, swing: float
+    program: _Program, groups: _ChangeGroups, turn_s: float | None, swing: float
 ) -> PlanError | None:
     """Return an error with the cost of a limit on the swing; None if it costs nothing."""
     if not np.isfinite(swing):
         return None
-    free = [[[replace(one, swing=np.inf) for one in way] for way in alike] for alike in ways]
+    free = [
+        [[replace(one, swing=np.inf) for one in changes] for changes in alike] for alike in groups
+    ]
     try:
         found, _ = program.speed_or_length(free, turn_s)
     except PlanError:
         return None
-    own = program.swing(found, stop=ways[0][0][0].stop)
+    own = program.swing(found, stop=groups[0][0][0].stop)
     name, most = max(own.items(), key=lambda item: item[1])
     return LimitError(
         f"axes.{name}: the head cannot change its speed in time while it swings by at most "
@@ -208,8 +210,8 @@ def _without_limit(
     )
 
 
-_Ways = Sequence[Sequence[Sequence[ChangeOfSpeed]]]
-"""Groups of ways: the best way of a group is used; a later group if none suffices."""
+_ChangeGroups = Sequence[Sequence[Sequence[ChangeOfSpeed]]]
+"""Groups of changes of speed: the best of a group is used; a later group if none suffices."""
 
 
 class _Program:
@@ -231,7 +233,7 @@ class _Program:
         self._answers: Answers = {}
 
     def speed_or_length(
-        self, ways: _Ways, turn_s: float | None
+        self, groups: _ChangeGroups, turn_s: float | None
     ) -> tuple[list[RobustWeights], list[str]]:
         """Return weights that keep the speed, or else its mean over a turn; and warnings.
 
@@ -246,11 +248,11 @@ class _Program:
             As ``least``.
         """
         if turn_s is None:
-            return self.least(ways), []
-        found = self.least(ways, enough=_ENOUGH)
+            return self.least(groups), []
+        found = self.least(groups, enough=_ENOUGH)
         if found is not None:
             return found, []
-        first = ways[0][0][0]
+        first = groups[0][0][0]
         found = self.least([[[replace(first, mean_s=turn_s)]]])
         error = max(weights.error for weights in found)
         ends = "before stops" if first.stop else "after starts"
@@ -275,12 +277,12 @@ class _Program:
         return most
 
     @overload
-    def least(self, ways: _Ways) -> list[RobustWeights]: ...
+    def least(self, groups: _ChangeGroups) -> list[RobustWeights]: ...
 
     @overload
-    def least(self, ways: _Ways, enough: float) -> list[RobustWeights] | None: ...
+    def least(self, groups: _ChangeGroups, enough: float) -> list[RobustWeights] | None: ...
 
-    def least(self, ways: _Ways, enough: float = np.inf) -> list[RobustWeights] | None:
+    def least(self, groups: _ChangeGroups, enough: float = np.inf) -> list[RobustWeights] | None:
         """Return the best weights of every axis; None if an error exceeds ``enough``.
 
         Raises
@@ -290,7 +292,7 @@ class _Program:
         """
         found = []
         for name, axis in zip(self._names, self.axes, strict=True):
-            best = self._best(axis, ways)
+            best = self._best(axis, groups)
             if best is None:
                 if np.isfinite(enough):
                     return None
@@ -307,27 +309,27 @@ class _Program:
             found.append(best)
             if best.error > _HOPELESS * enough:
                 return None
-        shared = self._shared(found, ways)
+        shared = self._shared(found, groups)
         return shared if max(weights.error for weights in shared) <= enough else None
 
-    def _shared(self, found: list[RobustWeights], ways: _Ways) -> list[RobustWeights]:
+    def _shared(self, found: list[RobustWeights], groups: _ChangeGroups) -> list[RobustWeights]:
         """Return weights that give the weakest axis more room in a corner, if they are better."""
         # At a corner both axes have errors; the stronger axis leaves room to the weaker one.
         weakest = int(np.argmax([weights.cost for weights in found]))
-        if len(found) == 1 or _good(found[weakest], ways):
+        if len(found) == 1 or _good(found[weakest], groups):
             return found
         shared = []
         for column, axis in enumerate(self.axes):
             room = axis.room / np.sqrt(0.5) * (_WEAK if column == weakest else _STRONG)
-            other = self._best(replace(axis, room=float(room)), ways)
+            other = self._best(replace(axis, room=float(room)), groups)
             if other is None or other.cost >= found[weakest].cost:
                 return found
             shared.append(other)
         return shared
 
-    def _best(self, axis: StepOfSpeed, ways: _Ways) -> RobustWeights | None:
+    def _best(self, axis: StepOfSpeed, groups: _ChangeGroups) -> RobustWeights | None:
         best, enough = None, False
-        for part, alike in product((_RIPPLE, 1.0), ways):
+        for part, alike in product((_RIPPLE, 1.0), groups):
             spared = replace(axis, current_limit_a=part * axis.current_limit_a)
             for changes in alike:
                 cheaper = np.inf if best is None else best.cost - _ALIKE
@@ -366,9 +368,9 @@ def _departures_s(change_s: float, lead_s: float) -> Sequence[Sequence[float]]:
     return [within, earlier] if within else [earlier]
 
 
-def _good(weights: RobustWeights, ways: _Ways) -> bool:
+def _good(weights: RobustWeights, groups: _ChangeGroups) -> bool:
     """Say whether the error is close to the difference of planned and wanted speed."""
-    planned = max(abs(1.0 - end) for change in ways[0][0] for end in change.share)
+    planned = max(abs(1.0 - end) for change in groups[0][0] for end in change.share)
     return weights.error < planned + _CLOSE
 
 

@@ -21,7 +21,7 @@ _REMEDY = 'Write it like "zv", "zv*um-2ei", "zv:3.04Hz:0.17" or "X=zv, Z=none".'
 
 
 @dataclass(frozen=True, slots=True)
-class _Wanted:
+class _ShaperRequest:
     """One requested shaper; a frequency of None means the machine's own mode."""
 
     kind: str
@@ -59,13 +59,13 @@ def shaping_of(
             continue
         own_hz, own_damping = flow_mode(machine, axis)
         key = []
-        for wanted in (_wanted(part.strip(), shaper) for part in text.split("*")):
-            given = (wanted.frequency_hz, frequency, own_hz)
-            hz = next(value for value in given if value is not None)
-            ratio = wanted.damping_ratio
-            if ratio is None and wanted.frequency_hz is None:
+        for request in (_request(part.strip(), shaper) for part in text.split("*")):
+            frequencies = (request.frequency_hz, frequency, own_hz)
+            hz = next(value for value in frequencies if value is not None)
+            ratio = request.damping_ratio
+            if ratio is None and request.frequency_hz is None:
                 ratio = damping_ratio if damping_ratio is not None else own_damping
-            key.append((wanted.kind, FlexibleMode(hz, ratio or 0.0), wanted.tolerance))
+            key.append((request.kind, FlexibleMode(hz, ratio or 0.0), request.tolerance))
         if tuple(key) not in made:
             trains = [design(kind, used, tolerance=tolerance) for kind, used, tolerance in key]
             made[tuple(key)] = AxisShaping(
@@ -112,7 +112,7 @@ def _by_axis(machine: Machine, text: str) -> dict[str, str]:
     return found
 
 
-def _wanted(text: str, whole: str) -> _Wanted:
+def _request(text: str, whole: str) -> _ShaperRequest:
     words = [word.strip() for word in text.split(":")]
     if words[0] not in set(ShaperKind):
         known = (UNSHAPED_WORD, *ShaperKind)
@@ -121,7 +121,7 @@ def _wanted(text: str, whole: str) -> _Wanted:
         )
     if len(words) > 4 or not all(words):
         raise OptionError(f"shaper {whole[:80]!r} cannot be read", remedy=_REMEDY)
-    return _Wanted(
+    return _ShaperRequest(
         kind=words[0],
         frequency_hz=parse_mode_hz(words[1]) if len(words) > 1 else None,
         damping_ratio=_number(words[2], whole) if len(words) > 2 else None,

@@ -16,7 +16,7 @@ from threadline.files import Stream
 from threadline.machine import Machine
 from threadline.motion.timing import Trajectory, TrajectoryBlock
 
-_KEPT_TICKS = 1024
+_EDGE_TICKS = 1024
 """Ticks kept at either end of a motion: more than any loop of ``AxisEnds`` remembers."""
 _CLOSE_S = 1e-9
 
@@ -29,16 +29,16 @@ class ShortTable:
     ----------
     rows
         Number of rows of the shorter table.
-    begun, ended
-        (k, axes) corrections of the references: ``begun`` from tick 0 on, ``ended`` for the last
-        references up to the end of the last row.
+    start_change, end_change
+        (k, axes) corrections of the references: ``start_change`` from tick 0 on, ``end_change``
+        for the last references up to the end of the last row.
     ends
         Table ends of each axis; empty for an axis without.
     """
 
     rows: int
-    begun: FloatArray
-    ended: FloatArray
+    start_change: FloatArray
+    end_change: FloatArray
     ends: tuple[tuple[TableEnd, ...], ...]
 
     def demands(self, whole: Sequence[Demand]) -> tuple[Demand, ...]:
@@ -59,10 +59,10 @@ class InverseEnds:
     def add(self, outputs: InverseOutput) -> None:
         """Append the inverse output of the next ticks."""
         self.ticks += len(outputs)
-        if len(self.first) < _KEPT_TICKS:
-            self.first = self.first.joined(outputs.part(0, _KEPT_TICKS - len(self.first)))
+        if len(self.first) < _EDGE_TICKS:
+            self.first = self.first.joined(outputs.part(0, _EDGE_TICKS - len(self.first)))
         both = self.last.joined(outputs)
-        self.last = both.part(max(len(both) - _KEPT_TICKS, 0), len(both))
+        self.last = both.part(max(len(both) - _EDGE_TICKS, 0), len(both))
 
     @property
     def moves(self) -> bool:
@@ -141,10 +141,10 @@ def short_table(
     if trajectory.moves_s[1] > planned_s - step_s:  # else the job itself rests at the end
         least = max(least - EARLIEST, 2)
     count = min(CHOSEN, least // 2)
-    if ticks - least + count > _KEPT_TICKS:
+    if ticks - least + count > _EDGE_TICKS:
         return None
     begun = {
-        k: end.begun(inverse_ends[k].from_start(count, end.memory), count, rest_si[0, k])
+        k: end.first_references(inverse_ends[k].from_start(count, end.memory), count, rest_si[0, k])
         for k, end in ends.items()
     }
     # Ends close to each other err at the same time: their errors add up.
@@ -153,7 +153,7 @@ def short_table(
         found: dict[int, tuple[TableEnd, TableEnd]] = {}
         for k, end in ends.items():
             tail = inverse_ends[k].to_end(rows - count, end.memory)
-            start, stop = begun[k], end.ended(tail, count, rest_si[1, k])
+            start, stop = begun[k], end.last_references(tail, count, rest_si[1, k])
             if start is None or stop is None:
                 break
             found[k] = start, stop
@@ -169,11 +169,14 @@ def short_table(
 def _table(
     rows: int, count: int, axes: int, found: dict[int, tuple[TableEnd, TableEnd]]
 ) -> ShortTable:
-    begun, ended = np.zeros((count + 1, axes)), np.zeros((count + 1, axes))
+    start_change, end_change = np.zeros((count + 1, axes)), np.zeros((count + 1, axes))
     for k, (start, end) in found.items():
-        begun[:, k], ended[:, k] = start.more_si[: count + 1], end.more_si[: count + 1]
+        start_change[:, k], end_change[:, k] = start.more_si[: count + 1], end.more_si[: count + 1]
     return ShortTable(
-        rows=rows, begun=begun, ended=ended, ends=tuple(found.get(k, ()) for k in range(axes))
+        rows=rows,
+        start_change=start_change,
+        end_change=end_change,
+        ends=tuple(found.get(k, ()) for k in range(axes)),
     )
 
 
@@ -193,7 +196,10 @@ def _shortened(references: Trajectory, table: ShortTable) -> Iterator[Trajectory
         coefficients = block.coefficients[:count].copy()
         at = np.arange(row, row + count + 1)
         more = np.zeros((count + 1, coefficients.shape[2]))
-        for start, change in ((0, table.begun), (table.rows + 1 - len(table.ended), table.ended)):
+        for start, change in (
+            (0, table.start_change),
+            (table.rows + 1 - len(table.end_change), table.end_change),
+        ):
             inside = (at >= start) & (at < start + len(change))
             more[inside] += change[at[inside] - start]
         coefficients[:, 0] += more[:-1]

@@ -127,13 +127,13 @@ def write_t15(stitched: Stitched, path: Path) -> Written:
     OptionError
         If the file name has the ending of another design format.
     """
-    said = _check_design(stitched, path, SUFFIX, MOST)
+    warnings = _check_design(stitched, path, SUFFIX, MOST)
     units = _units_xy(stitched)
     turns = stitched.turns
     changes = {e.tick for e in stitched.turns.events if e.kind == "tool" and e.name in _CUTS}
     with atomic_file(path) as file:
         file.write(t15_bytes(units, turns.moves.needle, changes | {len(turns)}))
-    return replace(written(path), warnings=said)
+    return replace(written(path), warnings=warnings)
 
 
 def write_dst(stitched: Stitched, path: Path) -> Written:
@@ -146,16 +146,16 @@ def write_dst(stitched: Stitched, path: Path) -> Written:
     OptionError
         If the file name has the ending of another design format.
     """
-    said = _check_design(stitched, path, DST, (MOST_JUMPS + 1) * DST_MOST)
+    warnings = _check_design(stitched, path, DST, (MOST_JUMPS + 1) * DST_MOST)
     events = _events(stitched)
     needle = stitched.turns.moves.needle
     content = dst_bytes(_units_xy(stitched), needle, events, stitched.job.name)
     names = [name for found in events.values() for name in found]
     if stops := names.count("stop"):
-        said += (f"{path}: DST has no stops: {stops} are written as thread changes",)
+        warnings += (f"{path}: DST has no stops: {stops} are written as thread changes",)
     if paces := names.count(SLOW) + names.count(FAST):
-        said += (f"{path}: DST has no marks of speed: {paces} are left out",)
-    return _write_design(stitched, path, content, DST, said)
+        warnings += (f"{path}: DST has no marks of speed: {paces} are left out",)
+    return _write_design(stitched, path, content, DST, warnings)
 
 
 def write_u01(stitched: Stitched, path: Path) -> Written:
@@ -172,7 +172,7 @@ def write_u01(stitched: Stitched, path: Path) -> Written:
     OptionError
         If the file name has the ending of another design format.
     """
-    said = _check_design(stitched, path, U01, MOST)
+    warnings = _check_design(stitched, path, U01, MOST)
     turn_s = stitched.turns.turn_s
     slow, facts = two_speeds(turn_s)
     events = _events(stitched)
@@ -181,7 +181,7 @@ def write_u01(stitched: Stitched, path: Path) -> Written:
     for turn in np.flatnonzero(np.diff(slow.astype(np.int64), prepend=0)).tolist():
         events.setdefault(turn, []).append(SLOW if slow[turn] else FAST)
     content = u01_bytes(_units_xy(stitched), stitched.turns.moves.needle, events)
-    file = _write_design(stitched, path, content, U01, said)
+    file = _write_design(stitched, path, content, U01, warnings)
     return replace(file, facts=(*file.facts, *facts))
 
 
@@ -245,7 +245,7 @@ def _events(stitched: Stitched) -> dict[int, list[str]]:
 
 
 def _write_design(
-    stitched: Stitched, path: Path, content: bytes, suffix: str, said: tuple[str, ...]
+    stitched: Stitched, path: Path, content: bytes, suffix: str, warnings: tuple[str, ...]
 ) -> Written:
     """Write a design that reads back, by the reader of its format, with the same stitches."""
     sewn = np.cumsum(_units_xy(stitched), axis=0)[stitched.turns.moves.needle == 1]
@@ -258,7 +258,7 @@ def _write_design(
     with atomic_file(path) as file:
         file.write(content)
     fact = f"{len(sewn)} stitches, which read back at the same places"
-    return replace(written(path), warnings=said, facts=(fact,))
+    return replace(written(path), warnings=warnings, facts=(fact,))
 
 
 def _manifest(stitched: Stitched, files: Iterable[Written]) -> dict[str, Any]:

@@ -218,16 +218,16 @@ class Pace:
         late = enters * turns_s
         worst = np.zeros(len(turns_s))
         for column, modes in enumerate((modes_of or self.modes).values()):
-            ways = moves.units[:, column] * self.tables.unit.si
+            travels = moves.units[:, column] * self.tables.unit.si
             total = np.zeros(len(turns_s))
             for mode in modes:
                 pole = _pole(mode)
                 fresh = np.zeros(len(turns_s), dtype=np.complex128)
-                moved = np.flatnonzero(ways)
+                moved = np.flatnonzero(travels)
                 which, of = np.unique(windows[moved], return_inverse=True)
-                fresh[moved] = ways[moved] * swing(self.law, mode, which)[of]
-                kept = np.exp(-pole * (windows + np.concatenate(([0.0], rests[:-1]))))
-                total += np.abs(_carried(fresh, kept)) * np.exp(-pole.real * late)
+                fresh[moved] = travels[moved] * swing(self.law, mode, which)[of]
+                decay = np.exp(-pole * (windows + np.concatenate(([0.0], rests[:-1]))))
+                total += np.abs(_carried(fresh, decay)) * np.exp(-pole.real * late)
             worst = np.maximum(worst, total)
         return np.where(moves.needle == 1, worst, 0.0)
 
@@ -248,7 +248,7 @@ class Pace:
         return self._schedules.of(moves, lambda: self._search(moves))
 
     def _search(self, moves: Moves) -> Schedule:
-        ways_m: FloatArray = np.asarray(moves.units * self.tables.unit.si, dtype=np.float64)
+        travels_m: FloatArray = np.asarray(moves.units * self.tables.unit.si, dtype=np.float64)
         rigid = self.rigid_windows_s(moves) / self.share
         shortest_s: FloatArray = np.minimum(
             np.maximum(rigid, self.loading_turns_s(moves)), self.shaft.slowest_turn.si
@@ -257,7 +257,7 @@ class Pace:
         swings = self.swings_of(speeds)
         best: tuple[float, FastestTurns] | None = None
         bound_s: float | None = None
-        problem = TurnMoves(ways_m=ways_m, needle=moves.needle, shortest_s=shortest_s)
+        problem = TurnMoves(travels_m=travels_m, needle=moves.needle, shortest_s=shortest_s)
         for _ in range(_ROUNDS):
             found = fastest_turns(speeds, swings, problem, tolerance_m, self.share)
             if 0.0 < found.missed.mean() < _HOPELESS:
@@ -290,9 +290,9 @@ class Pace:
         if not _WIDE[0] <= widest <= _WIDE[1]:
             return found_s
         assert self.shaft.acceleration is not None
-        ways_m, needle, shortest_s = problem
+        travels_m, needle, shortest_s = problem
         limits = Limits(
-            ways_m=ways_m,
+            travels_m=travels_m,
             needle=np.asarray(needle, dtype=np.int64),
             shortest_s=shortest_s,
             slowest_s=min(_SLOWEST * float(found_s.max()), self.shaft.slowest_turn.si),
@@ -391,7 +391,7 @@ class Pace:
         longest = self.shaft.slowest_turn.si
         turn = min(float(self.needed_turns_s(moves).max()), longest)
         while turn < longest * _BELOW:
-            if self._kept(moves, turn):
+            if self._within_tolerance(moves, turn):
                 break
             turn = min(turn * _SLOWER, longest)
         even = self._even_turn_s(moves, turn)
@@ -406,7 +406,7 @@ class Pace:
         cancelling each other.
         """
         sewn = moves.units[moves.needle == 1]
-        ways_m = np.abs(sewn).max(axis=0, initial=0) * self.tables.unit.si
+        travels_m = np.abs(sewn).max(axis=0, initial=0) * self.tables.unit.si
         windows = self.rigid_windows_s(moves).max() / self.share
         shortest = max(float(self.loading_turns_s(moves).max()), float(windows))
         if shortest >= below_s * _BELOW:
@@ -415,19 +415,19 @@ class Pace:
         first = Moves(units=moves.units[start], needle=moves.needle[start])
         for turn in np.geomspace(shortest, below_s, _EVEN_TURNS)[:-1].tolist():
             window = np.array([self.share * turn])
-            alone_m = [
+            swings_m = [
                 way * float(np.abs(swing(self.law, _aside(mode, ratio), window))[0])
-                for way, modes in zip(ways_m.tolist(), self.modes.values(), strict=True)
+                for way, modes in zip(travels_m.tolist(), self.modes.values(), strict=True)
                 for mode in modes
                 for ratio in _ASIDE
             ]
-            if max(alone_m, default=0.0) > self.tolerance_m:
+            if max(swings_m, default=0.0) > self.tolerance_m:
                 continue
-            if self._kept(first, turn) and self._kept(moves, turn):
+            if self._within_tolerance(first, turn) and self._within_tolerance(moves, turn):
                 return float(turn)
         return None
 
-    def _kept(self, moves: Moves, turn_s: float) -> bool:
+    def _within_tolerance(self, moves: Moves, turn_s: float) -> bool:
         """Return whether equal turns keep the tolerance on any day, for every mode of the band."""
         turns = np.full(len(moves.needle), turn_s)
         if self.most_swings_m(moves, turns).max() > self.tolerance_m:
@@ -487,9 +487,9 @@ def _of_length(windows: FloatArray, units: IntArray) -> FloatArray:
 
 
 @njit(nogil=True)
-def _carried(fresh: ComplexArray, kept: ComplexArray) -> ComplexArray:
+def _carried(fresh: ComplexArray, decay: ComplexArray) -> ComplexArray:
     """Return (n,) ``z`` with ``z[k] = z[k-1] kept[k] + fresh[k]``."""
     out = fresh.copy()
     for k in range(1, len(out)):
-        out[k] += out[k - 1] * kept[k]
+        out[k] += out[k - 1] * decay[k]
     return out

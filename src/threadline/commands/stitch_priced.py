@@ -56,22 +56,22 @@ class _Stretch(NamedTuple):
         (K, C) times to choose from, rising, s; the last one is repeated.
     counts
         (K,) number of different times of each turn.
-    ways_m
+    travels_m
         (K, A) travel of each turn, m.
     needle
         (K,) 1 where the needle enters.
     fresh
         (K, C, M) swing at the end of a move of 1 m.
-    ends
+    is_last
         Whether the design ends with the stretch.
     """
 
     choice_s: FloatArray
     counts: IntArray
-    ways_m: FloatArray
+    travels_m: FloatArray
     needle: IntArray
     fresh: ComplexArray
-    ends: bool
+    is_last: bool
 
 
 class _Watched(NamedTuple):
@@ -144,7 +144,7 @@ class _Step(NamedTuple):
         Times of the turn and of the next turn, s; 0 before the first turn of a design.
     low, high
         First index, and end, of the next times that each time can reach.
-    kept
+    decay
         (C, C, M) factor on the swing from the end of one window to the end of the next.
     own
         (C, M) swing of the next move alone, m.
@@ -160,7 +160,7 @@ class _Step(NamedTuple):
     turn_s: FloatArray
     low: IntArray
     high: IntArray
-    kept: ComplexArray
+    decay: ComplexArray
     own: ComplexArray
     late: FloatArray
     cost_to_go_s: FloatArray
@@ -240,10 +240,10 @@ def priced_turns(
     stretch = _Stretch(
         choice_s=choice,
         counts=counts,
-        ways_m=limits.ways_m[first:stop],
+        travels_m=limits.travels_m[first:stop],
         needle=limits.needle[first:stop],
         fresh=np.ascontiguousarray(fresh[lower] * (1.0 - part) + fresh[lower + 1] * part),
-        ends=stop == len(turns),
+        is_last=stop == len(turns),
     )
     begin = swings_before(first, turns, limits, swung)[columns]
     before_s = float(turns[first - 1]) if first > 0 else 0.0
@@ -296,7 +296,7 @@ def _cost_to_go(
 ) -> _CostToGo:
     """Return the least cost from each time of each turn to the end of the stretch."""
     choice, counts, needle = stretch.choice_s, stretch.counts, stretch.needle
-    ways_m, fresh, ends = stretch.ways_m, stretch.fresh, stretch.ends
+    travels_m, fresh, is_last = stretch.travels_m, stretch.fresh, stretch.is_last
     poles, late, axis, bounding = watched.poles, watched.late, watched.axis, watched.bounding
     share, tolerance_m, price_s = limits.share, request.tolerance_m, request.price_s
     turns = len(counts)
@@ -304,7 +304,7 @@ def _cost_to_go(
     to_go = np.full(choice.shape, np.inf)
     square, most = choice**-2.0, limits.change * _SLACK
     for i in range(counts[-1]):
-        to_go[-1, i] = (1.0 - share) * choice[-1, i] if ends else 0.0
+        to_go[-1, i] = (1.0 - share) * choice[-1, i] if is_last else 0.0
     for k in range(turns - 2, -1, -1):
         judged = needle[k] == 1 and needle[k + 1] == 1
         for i in range(counts[k]):
@@ -325,7 +325,7 @@ def _cost_to_go(
                         decay = poles[c].real
                         then = np.exp(decay * late * choice[k + 1, j])
                         was = np.exp(decay * (late * choice[k, i] - time))
-                        own = abs(ways_m[k + 1, axis[c]] * fresh[k + 1, j, c])
+                        own = abs(travels_m[k + 1, axis[c]] * fresh[k + 1, j, c])
                         over = max(over, own / (tolerance_m * (then + was)))
                     cost += price_s * max(0.0, over - 1.0)
                 best = min(best, cost)
@@ -341,7 +341,13 @@ def _find_followers(
     """Fill ``found`` with the followers of each state; return their number."""
     at, so_far, swing = beam.at, beam.cost_s, beam.swing
     before_s, turn_s, low, high = step.before_s, step.turn_s, step.low, step.high
-    kept, own, late, judged, to_go = step.kept, step.own, step.late, step.judged, step.cost_to_go_s
+    decay, own, late, judged, to_go = (
+        step.decay,
+        step.own,
+        step.late,
+        step.judged,
+        step.cost_to_go_s,
+    )
     last, named, change, share = watched.last, watched.named, limits.change, limits.share
     tolerance_m, price_s, cells = request.tolerance_m, request.price_s, request.cells
     cost, rank, source, speed, cell_of = found
@@ -361,7 +367,7 @@ def _find_followers(
                 continue
             worst, total = 0.0, 0.0
             for c in range(columns):
-                value[c] = own[j, c] + swing[h, c] * kept[i, j, c]
+                value[c] = own[j, c] + swing[h, c] * decay[i, j, c]
                 if judged:
                     total += abs(value[c]) * late[j, c]
                     if last[c] == 1:
@@ -421,7 +427,12 @@ def _search(
     before_s
         Time of the turn before the stretch, s; 0 before the first turn of a design.
     """
-    choice, counts, ways_m, fresh = stretch.choice_s, stretch.counts, stretch.ways_m, stretch.fresh
+    choice, counts, travels_m, fresh = (
+        stretch.choice_s,
+        stretch.counts,
+        stretch.travels_m,
+        stretch.fresh,
+    )
     poles, late, axis, share = watched.poles, watched.late, watched.axis, limits.share
     turns, count = choice.shape
     columns, room = len(poles), request.width * count
@@ -437,7 +448,7 @@ def _search(
         np.full(4 * room + 1, -1, np.int64),
         np.zeros(count, np.int64),
     )
-    kept = np.zeros((count, count, columns), np.complex128)
+    decay = np.zeros((count, count, columns), np.complex128)
     late_of = np.zeros((count, columns))
     own = np.zeros((count, columns), np.complex128)
     swing = np.zeros((1, columns), np.complex128)
@@ -450,15 +461,15 @@ def _search(
         for j in range(counts[k]):
             for c in range(columns):
                 late_of[j, c] = np.exp(-late * choice[k, j] * poles[c].real)
-                own[j, c] = ways_m[k, axis[c]] * fresh[k, j, c]
+                own[j, c] = travels_m[k, axis[c]] * fresh[k, j, c]
         for i in range(len(before)):
             for j in range(low_now[i], high_now[i]):
                 if before[i] > 0.0:
                     time = _pair_time(before[i], choice[k, j], share)
                     for c in range(columns):
-                        kept[i, j, c] = np.exp(-poles[c] * time)
+                        decay[i, j, c] = np.exp(-poles[c] * time)
         judged = stretch.needle[k] == 1
-        step = _Step(before, choice[k], low_now, high_now, kept, own, late_of, to_go[k], judged)
+        step = _Step(before, choice[k], low_now, high_now, decay, own, late_of, to_go[k], judged)
         followers = _find_followers(beam, step, watched, limits, request, found)
         if followers == 0:
             return np.zeros(turns), np.inf
@@ -467,7 +478,7 @@ def _search(
         then = np.empty((states, columns), np.complex128)
         for s in range(states):
             h, j = found.source[chosen[s]], found.speed[chosen[s]]
-            then[s] = own[j] + beam.swing[h] * kept[beam.at[h], j]
+            then[s] = own[j] + beam.swing[h] * decay[beam.at[h], j]
             back[k, s], taken[k, s] = h, j
         beam = _Beam(found.speed[chosen[:states]], found.cost_s[chosen[:states]], then)
     left = np.empty(len(beam.at))

@@ -29,7 +29,7 @@ WIDTH, WIDER = 5, 20
 _COLUMNS = 100  # with more, fewer states are kept
 _MISSING = 300  # states kept at a turn where every state is over the tolerance
 _CELLS, _OUTER = 3.0, 12.0  # cells of the swing per tolerance, and cells to each side
-_MOST_KEPT = 60_000_000  # states of all turns
+_MOST_CACHED = 60_000_000  # states of all turns
 _BUCKETS = 4096  # buckets of ranks; states in one bucket count as equal
 
 
@@ -57,16 +57,16 @@ class _Frame(NamedTuple):
 
     Parameters
     ----------
-    kept
+    decay
         (P, M) factor on the swing from the end of one window to the end of the next.
     tolerance_m
         Largest swing of an axis when the needle enters, m.
     """
 
-    ways_m: FloatArray
+    travels_m: FloatArray
     needle: IntArray
     fresh: ComplexArray
-    kept: ComplexArray
+    decay: ComplexArray
     late: FloatArray
     axis: IntArray
     last: IntArray
@@ -177,10 +177,10 @@ def fastest_turns(
     """
     needle = moves.needle
     frame = _Frame(
-        ways_m=moves.ways_m,
+        travels_m=moves.travels_m,
         needle=needle,
         fresh=swings.fresh,
-        kept=np.exp(-np.outer(speeds.pair_s, swings.poles)),
+        decay=np.exp(-np.outer(speeds.pair_s, swings.poles)),
         late=swings.late,
         axis=swings.axis,
         last=swings.last,
@@ -203,7 +203,7 @@ def fastest_turns(
     bound_s = float((to_go[0] + share * speeds.turn_s).min())
     # A wide band has many machines, and the search follows each state on all of them.
     width = max(1, width * _COLUMNS // max(_COLUMNS, len(swings.poles)))
-    width = min(width, max(1, _MOST_KEPT // (len(needle) * len(speeds.turn_s))))
+    width = min(width, max(1, _MOST_CACHED // (len(needle) * len(speeds.turn_s))))
     index, missed = _search(to_go, speeds, frame, width)
     return FastestTurns(turn_s=speeds.turn_s[index], missed=missed, bound_s=bound_s)
 
@@ -226,7 +226,7 @@ def _allowed(
     If the needle of the turn before entered, its swing was at most the tolerance then. It decays at
     least over the window and the shortest rest.
     """
-    ways_m, needle, shortest_s = moves
+    travels_m, needle, shortest_s = moves
     allowed = speeds.turn_s[None, :] >= shortest_s[:, None] / SLACK
     if not np.isfinite(tolerance_m):
         return np.asarray(allowed)
@@ -238,8 +238,8 @@ def _allowed(
         most = tolerance_m * (1.0 / swings.late[:, column] + left[:, column])
         with np.errstate(divide="ignore"):
             longest_m = most / np.abs(swings.fresh[:, column])
-        ways = np.abs(ways_m[judged, swings.axis[column]])
-        allowed[judged] &= ways[:, None] <= longest_m[None, :] * SLACK
+        travels = np.abs(travels_m[judged, swings.axis[column]])
+        allowed[judged] &= travels[:, None] <= longest_m[None, :] * SLACK
     return np.asarray(allowed)
 
 
@@ -251,17 +251,23 @@ def _pair_possible(k: int, i: int, j: int, pair: int, frame: _Frame, left: Float
     ``k``), one around the swing of the move of ``k`` (earlier swings), and one around the swing
     that the next move cancels. If two of them do not meet, no swing is in all three.
     """
-    ways_m, fresh, kept, axis, late = frame.ways_m, frame.fresh, frame.kept, frame.axis, frame.late
+    travels_m, fresh, decay, axis, late = (
+        frame.travels_m,
+        frame.fresh,
+        frame.decay,
+        frame.axis,
+        frame.late,
+    )
     tolerance_m = frame.tolerance_m
     for c in range(len(axis)):
-        z = kept[pair, c]
+        z = decay[pair, c]
         share = np.sqrt(z.real * z.real + z.imag * z.imag)
         then = tolerance_m / late[j, c]
-        own = ways_m[k + 1, axis[c]] * fresh[j, c]
+        own = travels_m[k + 1, axis[c]] * fresh[j, c]
         most = (then + share * tolerance_m / late[i, c]) * SLACK
         if own.real * own.real + own.imag * own.imag > most * most:
             return False
-        both = own + z * (ways_m[k, axis[c]] * fresh[i, c])
+        both = own + z * (travels_m[k, axis[c]] * fresh[i, c])
         most = (then + share * tolerance_m * left[i, c]) * SLACK
         if k > 0 and both.real * both.real + both.imag * both.imag > most * most:
             return False
@@ -295,10 +301,10 @@ def _time_to_go(speeds: Speeds, after: IntArray, frame: _Frame, bounds: _Bounds)
 
 
 @njit(nogil=True)
-def _swing(turn: int, way_m: float, fresh: complex, before: complex, kept: complex) -> complex:
+def _swing(turn: int, way_m: float, fresh: complex, before: complex, decay: complex) -> complex:
     """Return the swing at the end of a window; ``before`` is the swing at the end of the last."""
     own = way_m * fresh
-    return own + before * kept if turn > 0 else own
+    return own + before * decay if turn > 0 else own
 
 
 @njit(nogil=True)
@@ -306,11 +312,11 @@ def _largest_swing(
     k: int, h: int, j: int, pair: int, most_m: float, frame: _Frame, swing: ComplexArray
 ) -> float:
     """Return the largest swing of an axis when the needle enters; any value above ``most_m``."""
-    ways_m, fresh, kept, axis = frame.ways_m, frame.fresh, frame.kept, frame.axis
+    travels_m, fresh, decay, axis = frame.travels_m, frame.fresh, frame.decay, frame.axis
     late, last = frame.late, frame.last
     worst, total = 0.0, 0.0
     for c in range(len(last)):
-        value = _swing(k, ways_m[k, axis[c]], fresh[j, c], swing[h, c], kept[pair, c])
+        value = _swing(k, travels_m[k, axis[c]], fresh[j, c], swing[h, c], decay[pair, c])
         total += np.sqrt(value.real * value.real + value.imag * value.imag) * late[j, c]
         if last[c] == 1:
             worst = max(worst, total)
@@ -375,7 +381,7 @@ def _select(
 
     The swing is calculated only while its speed has a place left.
     """
-    ways_m, fresh, kept, axis = frame.ways_m, frame.fresh, frame.kept, frame.axis
+    travels_m, fresh, decay, axis = frame.travels_m, frame.fresh, frame.decay, frame.axis
     needle, named, tolerance_m = frame.needle, frame.named, frame.tolerance_m
     speed, source, pairs = found.speed, found.source, found.pair
     width, seen, stamp, of_speed, chosen = taken
@@ -387,7 +393,7 @@ def _select(
             continue
         cell: Any = j
         for c in named:
-            value = _swing(k, ways_m[k, axis[c]], fresh[j, c], swing[h, c], kept[pair, c])
+            value = _swing(k, travels_m[k, axis[c]], fresh[j, c], swing[h, c], decay[pair, c])
             # Swings far outside of the tolerance share the outer cells.
             for part in (value.real, value.imag):
                 near = min(max(part * (_CELLS / tolerance_m), -_OUTER), _OUTER)
@@ -414,7 +420,7 @@ def _search(
     to_go: FloatArray, speeds: Speeds, frame: _Frame, width: int
 ) -> tuple[IntArray, IntArray]:
     """Return (n,) index of the turn time of each turn, and (n,) 1 where the tolerance is missed."""
-    ways_m, fresh, kept, axis = frame.ways_m, frame.fresh, frame.kept, frame.axis
+    travels_m, fresh, decay, axis = frame.travels_m, frame.fresh, frame.decay, frame.axis
     needle, tolerance_m, columns = frame.needle, frame.tolerance_m, len(axis)
     turns, count = to_go.shape
     most_states = width * count
@@ -464,7 +470,7 @@ def _search(
             h, j, pair = found.source[q], found.speed[q], found.pair[q]
             for c in range(columns):
                 new_swing[s, c] = _swing(
-                    k, ways_m[k, axis[c]], fresh[j, c], beam.swing[h, c], kept[pair, c]
+                    k, travels_m[k, axis[c]], fresh[j, c], beam.swing[h, c], decay[pair, c]
                 )
             new_at[s], new_time[s] = j, found.time_s[q]
             back[k, s], speed_of[k, s] = h, j

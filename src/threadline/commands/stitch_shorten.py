@@ -81,18 +81,18 @@ def shortest_turns(
         )
         lists = [np.exp(grid)] * len(found_s)
         starts.append(partial(priced_turns, lists, 0, found_s, given, request))
-    best, kept = found_s, most_m(found_s) <= limits.tolerance_m * _EXCESS
+    best, is_within = found_s, most_m(found_s) <= limits.tolerance_m * _EXCESS
     enough_s = _MUCH * total_s(found_s, limits.share)
     for start in starts:
-        if kept and total_s(best, limits.share) < enough_s:
+        if is_within and total_s(best, limits.share) < enough_s:
             break
         begin = start()
         if begin is None:
             continue
         turns = shortened(begin, limits, swung)
         shorter = total_s(turns, limits.share) < total_s(best, limits.share)
-        if (shorter or not kept) and most_m(turns) <= limits.tolerance_m * _EXCESS:
-            best, kept = turns, True
+        if (shorter or not is_within) and most_m(turns) <= limits.tolerance_m * _EXCESS:
+            best, is_within = turns, True
     return best
 
 
@@ -265,7 +265,7 @@ def _watched_rows(
         turn of ``sums``.
     """
     first, end, watched, before = span
-    swing, kept, own, last = sums
+    swing, decay, own, last = sums
     needle, tolerance_m = limits.needle, limits.tolerance_m * _INSIDE
     poles, begin, row, late = swung.poles, swung.begin, swung.row, swung.late
     groups = len(row)
@@ -309,9 +309,9 @@ def _watched_rows(
                     for j in range(k - 1, first - 1, -1):
                         p = j - before
                         if j < end:
-                            part = share * (kept[p + 1, c] * own[p, c] + last[p + 1, c])
+                            part = share * (decay[p + 1, c] * own[p, c] + last[p + 1, c])
                             rows[found, j - first] += (way * part).real
-                        share = share * kept[p + 1, c]
+                        share = share * decay[p + 1, c]
                 room[found] = 1.0 - value
                 of[found] = k - first
                 found += 1

@@ -83,7 +83,7 @@ class TurnMoves(NamedTuple):
 
     Parameters
     ----------
-    ways_m
+    travels_m
         (n, A) travel of each turn, m.
     needle
         (n,) 1 where the needle enters.
@@ -91,7 +91,7 @@ class TurnMoves(NamedTuple):
         (n,) shortest time of each turn, s.
     """
 
-    ways_m: FloatArray
+    travels_m: FloatArray
     needle: IntArray
     shortest_s: FloatArray
 

@@ -23,14 +23,14 @@ class Sums(NamedTuple):
     ----------
     swing
         (n, M) swing at the end of the window of each turn, m.
-    kept
+    decay
         (n, M) factor on the swing from the end of the window before to the end of this window.
     own, last
         (n, M) derivative of the swing with respect to this turn and to the turn before, m/s.
     """
 
     swing: ComplexArray
-    kept: ComplexArray
+    decay: ComplexArray
     own: ComplexArray
     last: ComplexArray
 
@@ -72,7 +72,7 @@ class Limits(NamedTuple):
 
     Parameters
     ----------
-    ways_m, needle, shortest_s
+    travels_m, needle, shortest_s
         As in ``TurnMoves``.
     slowest_s
         Longest time of a turn, s.
@@ -84,7 +84,7 @@ class Limits(NamedTuple):
         Largest swing of an axis when the needle enters, m.
     """
 
-    ways_m: FloatArray
+    travels_m: FloatArray
     needle: IntArray
     shortest_s: FloatArray
     slowest_s: float
@@ -109,10 +109,10 @@ def amplitudes(swing: ComplexArray, turn_s: FloatArray, swung: Swung) -> FloatAr
 def _swings_of(before: int, end: int, turns: FloatArray, limits: Limits, swung: Swung) -> Sums:
     """Return the swings and slopes of turns ``before`` to ``end``; nothing swings before them."""
     axis, poles, log_s, fresh = swung.axis, swung.poles, swung.log_s, swung.fresh
-    ways_m, share = limits.ways_m, limits.share
+    travels_m, share = limits.travels_m, limits.share
     count, columns = end - before, len(poles)
     swing = np.zeros((count, columns), np.complex128)
-    kept = np.zeros((count, columns), np.complex128)
+    decay = np.zeros((count, columns), np.complex128)
     own = np.zeros((count, columns), np.complex128)
     last = np.zeros((count, columns), np.complex128)
     for q in range(count):
@@ -128,19 +128,19 @@ def _swings_of(before: int, end: int, turns: FloatArray, limits: Limits, swung: 
             by_own = share + pair / (a + b) * b * b
             by_last = pair / (a + b) * a * a
         for m in range(columns):
-            way = ways_m[k, axis[m]]
+            way = travels_m[k, axis[m]]
             rise = fresh[i + 1, m] - fresh[i, m]
             value = way * (fresh[i, m] + part * rise)
             slope = way * rise / (log_s[1] * turns[k])
             if q > 0:
-                kept[q, m] = np.exp(-poles[m] * time)
-                carried = swing[q - 1, m] * kept[q, m]
+                decay[q, m] = np.exp(-poles[m] * time)
+                carried = swing[q - 1, m] * decay[q, m]
                 value += carried
                 slope -= poles[m] * carried * by_own
                 last[q, m] = -poles[m] * carried * by_last
             swing[q, m] = value
             own[q, m] = slope
-    return Sums(swing, kept, own, last)
+    return Sums(swing, decay, own, last)
 
 
 swings_of = njit(nogil=True)(_swings_of)

@@ -122,8 +122,8 @@ def stitch(
         turns=turns,
         pace=pace,
         constant=constant,
-        given=turn_s is not None,
-        alone_s=float(needed.sum()),
+        speed_requested=turn_s is not None,
+        independent_s=float(needed.sum()),
         slowest_s=float(needed[sewn].max()) * count,
         bound_s=bound_s,
     )

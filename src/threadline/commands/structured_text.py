@@ -37,7 +37,7 @@ from threadline.commands.structured_text_table import (
     MOST_PLACES,
     TABLE_NAMES,
     Tables,
-    kept_places,
+    named_places,
     table_state,
     tables_of,
 )
@@ -191,8 +191,8 @@ def _of_kind(machine: Machine, kind: str) -> list[str]:
 def _dwell_ms(machine: Machine) -> int:
     """Return the longest of the minimum times between two switchings of a valve, ms."""
     assert machine.plc is not None
-    ways = [way for c in machine.cylinders.values() for way in (c.forward, c.back)]
-    dwells_s = [machine.plc.dwell.si, *(way.least_hold_s(machine.plc) for way in ways)]
+    strokes = [way for c in machine.cylinders.values() for way in (c.forward, c.back)]
+    dwells_s = [machine.plc.dwell.si, *(way.least_hold_s(machine.plc) for way in strokes)]
     return math.ceil(1000.0 * max(dwells_s) - 1e-9)
 
 
@@ -243,10 +243,10 @@ def _block_variables(words: Words, sequence: Sequence, tables: Tables | None) ->
             *_panel_outputs(),
         ),
     )
-    kept = None if tables is None else kept_places(sequence)
+    named = None if tables is None else named_places(sequence)
     yield Block(
         kind="VAR CONSTANT",
-        variables=(*sequence.constants(words.outputs, kept), *hand_constants(words)),
+        variables=(*sequence.constants(words.outputs, named), *hand_constants(words)),
     )
     if tables is not None:
         yield Block(kind="VAR CONSTANT", variables=tables.arrays)

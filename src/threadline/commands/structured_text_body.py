@@ -173,10 +173,10 @@ def _contradictions(one: Guarded, words: Words, machine: Machine) -> Iterator[tu
     switches = switches_of(machine, one.axis)
     for (begin, end), constant in one.known.items():
         at = f"({one.expect} = {constant})"
-        said = {
+        switch_values = {
             name: (reads(contact, begin), reads(contact, end)) for name, contact in switches.items()
         }
-        for name, (first, last) in said.items():
+        for name, (first, last) in switch_values.items():
             word = words.inputs[name]
             if (first, last) == (True, True):
                 yield f"{at} AND NOT {word}", "f_lost", name
@@ -184,13 +184,13 @@ def _contradictions(one: Guarded, words: Words, machine: Machine) -> Iterator[tu
                 yield f"{at} AND {word}", "f_wrong", name
             elif (first, last) == (False, True):
                 yield f"{at} AND {word} AND (elapsed < {one.early})", "f_early", name
-        for name, (first, last) in said.items():
+        for name, (first, last) in switch_values.items():
             word = words.inputs[name]
             if (first, last) == (True, False):
                 yield f"{at} AND {word} AND (elapsed >= {one.gone})", "f_stayed", name
                 # The far switch came in time, so the near switch should be off.
-                for far, far_said in said.items():
-                    if far_said == (False, True):
+                for far, far_values in switch_values.items():
+                    if far_values == (False, True):
                         yield f"{at} AND {word} AND {words.inputs[far]}", "f_stayed", name
     for near, low in switches.items():
         for far, high in switches.items():

@@ -180,7 +180,7 @@ def table_state() -> Iterator[Variable]:
         yield Variable(name=name, type="BOOL", initial="FALSE")
 
 
-def kept_places(sequence: PlcSequence) -> frozenset[str]:
+def named_places(sequence: PlcSequence) -> frozenset[str]:
     """Return the places that the body still names: where runs begin, begin again, and end."""
     cycle, homing = sequence.cycle, sequence.homing
     return frozenset(

@@ -113,9 +113,9 @@ class Stitched:
         Every planned turn.
     pace
         Time that each turn needs, and the swing tolerance of the plan.
-    constant, given
+    constant, speed_requested
         Whether the shaft turns at one speed, and whether the user gave that speed.
-    alone_s
+    independent_s
         Time if each stitch were planned as if the frame were at rest before it, on a spindle
         without inertia, s. A schedule that cancels the swing of earlier stitches may be shorter.
     slowest_s
@@ -131,8 +131,8 @@ class Stitched:
     turns: Turns
     pace: Pace
     constant: bool
-    given: bool
-    alone_s: float
+    speed_requested: bool
+    independent_s: float
     slowest_s: float
     bound_s: float | None
 
@@ -154,7 +154,7 @@ class Stitched:
     @property
     def warnings(self) -> tuple[str, ...]:
         """Stitches that the forecast puts beyond the tolerance, unless the user gave the speed."""
-        if self.given:
+        if self.speed_requested:
             return ()
         turns, limit_m = self.turns, self.pace.tolerance_m
         swings_m = self.pace.robust_swings_m(turns.moves, turns.turn_s)
@@ -195,7 +195,7 @@ class Stitched:
                 "constant_speed": self.constant,
                 "slowest_turn_s": float(self.turns.turn_s.max()),
                 "fastest_turn_s": float(self.turns.turn_s.min()),
-                "each_alone_s": self.alone_s,
+                "each_alone_s": self.independent_s,
                 "slowest_alone_s": self.slowest_s,
                 "schedule_bound_s": self.bound_s,
                 "robust_share": self.pace.robust_share,
@@ -237,8 +237,8 @@ class Stitched:
     @property
     def longest_move_m(self) -> float:
         """Longest travel of an axis from stitch to stitch, m."""
-        ways = np.abs(self.turns.moves.units[self.frame_moves == 1])
-        return float(ways.max(initial=0)) * self.pace.tables.unit.si
+        travels = np.abs(self.turns.moves.units[self.frame_moves == 1])
+        return float(travels.max(initial=0)) * self.pace.tables.unit.si
 
     @property
     def steps_per_unit(self) -> int:
@@ -248,8 +248,8 @@ class Stitched:
     @property
     def places_m(self) -> FloatArray:
         """(n, A) position of the frame after each turn, m."""
-        ways = np.cumsum(self.turns.moves.units, axis=0)
-        return np.asarray(ways * self.pace.tables.unit.si + np.array(self.job.start))
+        sums = np.cumsum(self.turns.moves.units, axis=0)
+        return np.asarray(sums * self.pace.tables.unit.si + np.array(self.job.start))
 
     def lines_of(self, job: Job, operations: Collection[int]) -> dict[int, int]:  # noqa: ARG002
         """Return the record of each operation, 0 for an operation without one."""

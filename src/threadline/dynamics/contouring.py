@@ -60,8 +60,8 @@ def cross_coupled(
                 remedy='Give it kind "lead" or "pid".',
             )
     first_kind, second_kind = (
-        (p.of.clock, p.of.reference_clock, p.of.dac.bits.si, p.of.dac.range.si,
-         p.of.dac.zero_on_reversal, p.of.dac.rounding)
+        (p.settings.clock, p.settings.reference_clock, p.settings.dac.bits.si,
+         p.settings.dac.range.si, p.settings.dac.zero_on_reversal, p.settings.dac.rounding)
         for p in parts
     )  # fmt: skip
     if first_kind != second_kind:
@@ -83,16 +83,16 @@ def cross_coupled(
     error = np.hstack([coupled_errors, -coupled_errors])
     return Designed(
         axes=axes,
-        sensors=tuple(part.of.sensor for part in parts),
-        drives=tuple(part.of.drive for part in parts),
-        clock=parts[0].of.clock,
-        reference_clock=parts[0].of.reference_clock,
+        sensors=tuple(part.settings.sensor for part in parts),
+        drives=tuple(part.settings.drive for part in parts),
+        clock=parts[0].settings.clock,
+        reference_clock=parts[0].settings.reference_clock,
         A=A,
         B=b @ error,
         C=c,
         D=d @ error,
         L=block_diag(*[_CLAMPED] * 2),
-        dac=parts[0].of.dac,
+        dac=parts[0].settings.dac,
     )
 
 

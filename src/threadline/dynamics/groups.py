@@ -102,8 +102,11 @@ def _refuse_shared_parts(machine: Machine) -> None:
     }
     parts = loop_parts(machine, machine.controllers)
     commanded = {
-        part.controller if part.of.kind != "state-space" else f"{part.controller} ({part.axis})":
-        part.of.drive
+        (
+            part.controller
+            if part.settings.kind != "state-space"
+            else f"{part.controller} ({part.axis})"
+        ): part.settings.drive
         for part in parts
     }  # fmt: skip
     for kind, users, owner in (

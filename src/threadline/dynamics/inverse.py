@@ -123,7 +123,7 @@ class Inverse:
         return self.chain.degree
 
     def outputs(
-        self, time_s: FloatArray, ladder: FloatArray, inner: FloatArray, start_si: float
+        self, time_s: FloatArray, derivatives: FloatArray, inner: FloatArray, start_si: float
     ) -> Followed:
         """Return sensor reading, voltage and current for a motion of the load and inner states.
 
@@ -131,7 +131,7 @@ class Inverse:
         ----------
         time_s
             (k,) instants, in s.
-        ladder
+        derivatives
             (k, degree + 1) position of the load and its derivatives.
         inner
             (k, n - degree) inner states; they are 0 at rest.
@@ -139,13 +139,13 @@ class Inverse:
             Position of the load before the motion, m or rad.
         """
         r = self.degree
-        states = ladder[:, :r] @ self.from_load.T + inner @ self.from_inner.T
+        states = derivatives[:, :r] @ self.from_load.T + inner @ self.from_inner.T
         states += self._rest(start_si)
-        volts = (ladder[:, r] - states @ self.chain.rows[r]) / self.chain.gain
+        volts = (derivatives[:, r] - states @ self.chain.rows[r]) / self.chain.gain
         coil_states = [k for k, name in enumerate(self.plant.states) if name.endswith(".i")]
         return Followed(
             time_s=time_s,
-            load_si=ladder[:, 0],
+            load_si=derivatives[:, 0],
             measured_counts=states @ self.loop.axis_plant().C[0],
             volts=volts,
             current_a=states[:, coil_states[0]] if len(coil_states) == 1 else None,
@@ -155,9 +155,9 @@ class Inverse:
         # Inner states are relative to their values at rest, which depend on the load's position.
         if not len(self.Q) or start_si == 0.0:
             return np.zeros(len(self.plant.A))
-        rest_ladder = np.zeros(self.degree)
-        rest_ladder[0] = start_si
-        return np.asarray(self.from_inner @ -np.linalg.solve(self.Q, self.R @ rest_ladder))
+        rest_derivatives = np.zeros(self.degree)
+        rest_derivatives[0] = start_si
+        return np.asarray(self.from_inner @ -np.linalg.solve(self.Q, self.R @ rest_derivatives))
 
 
 def _check_single(machine: Machine, loop: Loop) -> None:
@@ -200,11 +200,11 @@ def inverse_of(machine: Machine, axis: str, values: Values | None = None) -> Inv
     chain = chain_of(plant)
     r, n = chain.degree, len(plant.A)
     # The inner states are combinations W x on which the voltage does not act: W b = 0.
-    ladder = chain.rows[:r]
-    scale = np.linalg.norm(ladder, axis=1)[:, None]
+    chain_rows = chain.rows[:r]
+    scale = np.linalg.norm(chain_rows, axis=1)[:, None]
     inner_space = null_space(plant.B.T / np.linalg.norm(plant.B)).T
-    inner_rows = _independent(inner_space, ladder / scale, n - r)
-    transform = np.vstack([ladder / scale, inner_rows])
+    inner_rows = _independent(inner_space, chain_rows / scale, n - r)
+    transform = np.vstack([chain_rows / scale, inner_rows])
     inverse_transform = np.linalg.inv(transform)
     from_load, from_inner = inverse_transform[:, :r] / scale.T, inverse_transform[:, r:]
     Q, R = inner_rows @ plant.A @ from_inner, inner_rows @ plant.A @ from_load

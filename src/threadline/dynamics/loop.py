@@ -276,7 +276,7 @@ def _matrix_loop(
                 readings += [f"sensors.{name}" for name in controller.sensors]
         else:
             blocks.append(of_filter(digital_filter(machine, part.controller, values)))
-            readings.append(f"sensors.{part.of.sensor}")
+            readings.append(f"sensors.{part.settings.sensor}")
     return side_by_side(blocks), tuple(readings)
 
 
@@ -310,10 +310,12 @@ def axis_loops(
             continue
         parts = loop_parts(machine, group.controllers)
         names = tuple(
-            part.controller if part.of.kind != "state-space" else f"{part.controller} ({part.axis})"
+            part.controller
+            if part.settings.kind != "state-space"
+            else f"{part.controller} ({part.axis})"
             for part in parts
         )
-        clocks = sorted({part.of.clock for part in parts})
+        clocks = sorted({part.settings.clock for part in parts})
         if len(clocks) > 1:
             raise MachineError(
                 f"controllers {', '.join(group.controllers)} share bodies but run on the clocks "
@@ -321,19 +323,19 @@ def axis_loops(
                 place=machine.place,
                 remedy="Put the controllers of connected bodies on one clock.",
             )
-        driven = plant.select([f"drives.{p.of.drive}" for p in parts], list(plant.outputs))
+        driven = plant.select([f"drives.{p.settings.drive}" for p in parts], list(plant.outputs))
         owners = [part.axis for part in parts]
         for axis in group.axes:
             common: dict[str, Any] = {
                 "axis": axis,
                 "plant": driven,
                 "controllers": names,
-                "sensors": tuple(f"sensors.{p.of.sensor}" for p in parts),
+                "sensors": tuple(f"sensors.{p.settings.sensor}" for p in parts),
                 "index": owners.index(axis),
                 "counts_per_unit": machine.axes[axis].counts.si,
                 "hold": hold,
             }
-            if any(part.of.kind == "state-space" for part in parts):
+            if any(part.settings.kind == "state-space" for part in parts):
                 controller, readings = _matrix_loop(machine, parts, values)
                 loops[axis] = MatrixLoop(
                     **common, filters=(), controller=controller, readings=readings,

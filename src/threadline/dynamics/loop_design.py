@@ -214,7 +214,7 @@ def _share(values: FloatArray, crosses: NDArray[np.bool_]) -> FloatArray:
     return np.asarray(np.where(crosses, -values[:, :-1] / np.where(crosses, rise, 1.0), 0.0))
 
 
-def check_wanted(loop: Loop, phase_margin_deg: float, crossover_hz: float | None) -> None:
+def check_goal(loop: Loop, phase_margin_deg: float, crossover_hz: float | None) -> None:
     """Refuse a phase margin or a crossover that no loop can have.
 
     Raises
@@ -261,7 +261,7 @@ def design(
     OptionError
         If a number is out of range, or no such controller has the phase margin.
     """
-    check_wanted(loop, phase_margin_deg, crossover_hz)
+    check_goal(loop, phase_margin_deg, crossover_hz)
     plant = open_plant(loop)
     if crossover_hz is not None:
         omega = np.array([2 * np.pi * crossover_hz])

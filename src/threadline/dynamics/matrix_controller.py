@@ -159,14 +159,14 @@ class LoopPart(NamedTuple):
         controllers.
     axis
         Name of the axis; empty if the controller moves no axis.
-    of
-        Description of the loop in the machine file: clocks, sensor, drive and DAC.
+    settings
+        The loop's table of the machine file: clocks, sensor, drive and DAC.
     """
 
     controller: str
     place: int
     axis: str
-    of: AxisController | AxisOfStateSpace
+    settings: AxisController | AxisOfStateSpace
 
 
 def loop_parts(machine: Machine, controllers: Iterable[str]) -> tuple[LoopPart, ...]:

@@ -173,7 +173,7 @@ class AxisPreview:
 
     @property
     def orders(self) -> int:
-        """Number of columns of a ladder: the position and its required derivatives."""
+        """Number of columns: the position and its required derivatives."""
         return self.inverse.degree + 1
 
     @property
@@ -190,10 +190,10 @@ class AxisPreview:
             (k,) times of the next ticks of the controller; the load is at rest before the first
             tick.
         now
-            (k, orders) ladder: position of the load and its derivatives at these ticks.
+            (k, orders): position of the load and its derivatives at these ticks.
         early
-            (k, orders) ladder at ``timing.early_s`` plus ``ahead`` ticks after these ticks. In the
-            first call the shape is (ahead + k, orders), and the ladder begins ``timing.early_s``
+            (k, orders): the same at ``timing.early_s`` plus ``ahead`` ticks after these ticks. In
+            the first call the shape is (ahead + k, orders), and the rows begin ``timing.early_s``
             after the first tick.
         """
         from scipy.signal import lfilter
@@ -245,9 +245,9 @@ class AxisPreview:
 class _Inner:
     """Inner states ``eta' = Q eta + R (y ... y^(r-1))`` at equally spaced instants.
 
-    Between two instants the input ``R ladder`` is approximated by the cubic with the same values
-    and slopes at both instants; the slopes are known from the derivatives. The error is ``T^4 /
-    384`` times the fourth derivative of the input.
+    Between two instants the input ``R (y ... y^(r-1))`` is approximated by the cubic with the same
+    values and slopes at both instants; the slopes are known from the derivatives. The error is
+    ``T^4 / 384`` times the fourth derivative of the input.
     """
 
     def __init__(self, inverse: Inverse, step_s: float) -> None:
@@ -262,15 +262,15 @@ class _Inner:
         self._last: FloatArray | None = None
         self.start_si = 0.0
 
-    def feed(self, ladder: FloatArray) -> FloatArray:
-        """Return the (k, n) states at the next (k, degree + 1) rows of the ladder."""
+    def feed(self, derivatives: FloatArray) -> FloatArray:
+        """Return the (k, n) states at the next (k, degree + 1) rows: position and derivatives."""
         if self._last is None:
-            self._last = ladder[:1]
-            self.start_si = float(ladder[0, 0])
+            self._last = derivatives[:1]
+            self.start_si = float(derivatives[0, 0])
         if not len(self._Q):
-            return np.zeros((len(ladder), 0))
-        rows = np.concatenate([self._last, ladder])
-        self._last = ladder[-1:]
+            return np.zeros((len(derivatives), 0))
+        rows = np.concatenate([self._last, derivatives])
+        self._last = derivatives[-1:]
         from_start = rows[:, :-1].copy()
         from_start[:, 0] -= self.start_si
         values, slope = from_start @ self._R.T, rows[:, 1:] @ self._R.T

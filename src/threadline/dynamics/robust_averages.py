@@ -115,7 +115,9 @@ _FIRST_ROWS = 2048  # every n-th instant is in the first program; violated insta
 _MOST_ROUNDS = 100
 _MAX_VIOLATION = 1e-6  # largest violation at any instant, as a share of the step
 _LEAST_COST_RISE = 1e-9  # a smaller increase of the cost, as a share, does not count
-_KEPT_RESERVE = 0.01  # instants with more reserve, as a share of the step, leave the next program
+_DROPPED_RESERVE = (
+    0.01  # instants with more reserve, as a share of the step, leave the next program
+)
 MEAN_S = 0.0021
 """Time over which a speed is measured, with a small reserve, s."""
 _LOAD_CHECK_TIMES = 16.0  # the load is checked for so many times the time of a change after it
@@ -314,7 +316,7 @@ def _least_error_weights(
             np.union1d(
                 instants,
                 np.flatnonzero(
-                    _peaks(_violation(band, start.weights, start.slack), -_KEPT_RESERVE)
+                    _peaks(_violation(band, start.weights, start.slack), -_DROPPED_RESERVE)
                 ),
             )
             for instants, band in zip(chosen_instants, bands, strict=True)
@@ -354,7 +356,7 @@ def _least_error_weights(
         lower_bound = max(total_cost, lower_bound)
         chosen_instants = [
             np.union1d(
-                instants[violation[instants] > -_KEPT_RESERVE] if cost_rises else instants,
+                instants[violation[instants] > -_DROPPED_RESERVE] if cost_rises else instants,
                 peak_instants,
             )
             for instants, violation, peak_instants in zip(

@@ -184,7 +184,7 @@ def regulators(
         if not group.axes:
             continue
         parts = loop_parts(machine, group.controllers)
-        loop_sensors = tuple(part.of.sensor for part in parts)
+        loop_sensors = tuple(part.settings.sensor for part in parts)
         sensors = loop_sensors + tuple(name for name in others if name in group.sensors)
         weights = {part.axis: gain * _present_static_gain(machine, part) for part in parts}
         regulators.append(_regulator(machine, parts, sensors, models.one(0), weights))
@@ -193,7 +193,7 @@ def regulators(
 
 def _present_static_gain(machine: Machine, part: LoopPart) -> float:
     """Return the static gain of the present controller, DAC levels per count."""
-    if part.of.kind == "state-space":
+    if part.settings.kind == "state-space":
         return _USUAL_GAIN
     b, a = difference_equation(machine, part.controller, Values.of(machine))
     denominator_sum = 1.0 + float(a[0].sum())
@@ -212,7 +212,10 @@ def _regulator(
     gains: Mapping[str, float],
 ) -> Regulator:
     clock = machine.tick_clock
-    dacs = {(p.of.dac.bits.si, p.of.dac.range.si, p.of.dac.zero_on_reversal) for p in parts}
+    dacs = {
+        (p.settings.dac.bits.si, p.settings.dac.range.si, p.settings.dac.zero_on_reversal)
+        for p in parts
+    }
     if len(dacs) > 1 or any(not part.axis for part in parts):
         raise MachineError(
             f"the controllers {', '.join(part.controller for part in parts)} are of one connected "
@@ -220,9 +223,9 @@ def _regulator(
             place=machine.place,
             remedy="A design needs one DAC for all of them, and an axis for each.",
         )
-    volt_per_level = parts[0].of.dac.volt_per_level
+    volt_per_level = parts[0].settings.dac.volt_per_level
     plant = model.select(
-        [f"drives.{part.of.drive}" for part in parts],
+        [f"drives.{part.settings.drive}" for part in parts],
         [*(f"sensors.{name}" for name in sensors), *(f"{part.axis}.load" for part in parts)],
     )
     sampled = sample(plant, float(clock.period_s))
@@ -423,13 +426,13 @@ def _joined(
     return Designed(
         axes=tuple(part.axis for part in regulator.parts),
         sensors=regulator.sensors,
-        drives=tuple(part.of.drive for part in regulator.parts),
+        drives=tuple(part.settings.drive for part in regulator.parts),
         clock=regulator.clock,
         A=A,
         B=B,
         C=np.hstack([-K @ prediction, Cf]),
         D=np.hstack([Df, -K @ regulator.observer]),
         L=np.vstack([G, np.zeros((f, m))]),
-        dac=regulator.parts[0].of.dac,
+        dac=regulator.parts[0].settings.dac,
         delay_ticks=delay_ticks,
     )

@@ -80,7 +80,9 @@ class AxisEnds:
         """Number of ticks until the response to a change of the references has settled."""
         return self._loop.memory
 
-    def begun(self, output: InverseOutput, count: int, rest_si: float) -> TableEnd | None:
+    def first_references(
+        self, output: InverseOutput, count: int, rest_si: float
+    ) -> TableEnd | None:
         """Return the first references of a table that has ``rest_si`` before its first row.
 
         The result is None if the limits of voltage or current do not allow such a table.
@@ -97,7 +99,7 @@ class AxisEnds:
         forced[0] = rest_si - output.references_si[0]
         return self._best(output, forced, np.arange(1, 1 + count), None)
 
-    def ended(self, output: InverseOutput, count: int, rest_si: float) -> TableEnd | None:
+    def last_references(self, output: InverseOutput, count: int, rest_si: float) -> TableEnd | None:
         """Return the last references of a table that has ``rest_si`` from a tick on.
 
         The result is None if the limits of voltage or current do not allow such a table.

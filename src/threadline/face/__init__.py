@@ -139,7 +139,7 @@ def fastest(job: PathLike, machine: PathLike | Machine, **words: Word) -> Fastes
     with given.judging():
         found = answered(question_of(given, Path(job), machine))
     proving = {one.word for one in options_for("prove", Door.PYTHON)}
-    kept = {word: value for word, value in words.items() if word in proving}
+    proving_words = {word: value for word, value in words.items() if word in proving}
     own_end = isinstance(found.of, FastestJob) and words.get("high") is None
     return FastestResult(
         found.best if found.over_band is None else found.over_band.cycle_s,
@@ -151,7 +151,7 @@ def fastest(job: PathLike, machine: PathLike | Machine, **words: Word) -> Fastes
         found.certainty,
         found.mismatch,
         found.ended,
-        partial(_prove_again, job, machine, kept),
+        partial(_prove_again, job, machine, proving_words),
         "the velocity limits of the axes" if own_end else "the end of the search",
         "" if found.searched is CYCLE else found.searched.name,
         Path(job),
@@ -161,12 +161,12 @@ def fastest(job: PathLike, machine: PathLike | Machine, **words: Word) -> Fastes
 def _prove_again(
     job: PathLike,
     machine: PathLike | Machine,
-    kept: Mapping[str, Word],
+    proving_words: Mapping[str, Word],
     in_place: Path | None,
     **words: Word,
 ) -> Proved:
-    """Prove a job, or a file ``in_place`` of it, with the kept words of its search."""
-    return prove(job if in_place is None else in_place, machine, **{**kept, **words})
+    """Prove a job, or a file ``in_place`` of it, with the proving_words words of its search."""
+    return prove(job if in_place is None else in_place, machine, **{**proving_words, **words})
 
 
 @with_options

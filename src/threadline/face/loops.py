@@ -97,9 +97,9 @@ def control(
     InputError
         As on the command line; nothing is written then.
     """
-    from threadline.search.controller_design import Wanted, design_controllers
+    from threadline.search.controller_design import DesignGoal, design_controllers
 
-    wanted = Wanted(
+    goal = DesignGoal(
         design=design,
         gain=gain,
         sensors=None if sensors is None else tuple(sensors),
@@ -109,7 +109,7 @@ def control(
         direction=direction,
         coupling=coupling,
     )
-    return design_controllers(chosen_machine(machine), wanted, Path(out))
+    return design_controllers(chosen_machine(machine), goal, Path(out))
 
 
 @in_arguments
@@ -157,8 +157,8 @@ def tune(
     from threadline.search.tune import (
         parse_controller,
         parse_rule,
+        tuning_goal,
         usual_controller,
-        wanted_tuning,
         write_tuned,
     )
     from threadline.search.tune import tune as tune_machine
@@ -169,7 +169,7 @@ def tune(
     if out is not None:
         check_machine_output(Path(out))
     found = tune_machine(
-        chosen, wanted_tuning(chosen, axis, margin, crossover), [Path(job) for job in jobs]
+        chosen, tuning_goal(chosen, axis, margin, crossover), [Path(job) for job in jobs]
     )
     if out is not None:
         write_tuned(found, kind, by, Path(out))

@@ -107,5 +107,7 @@ def design(
     given = Words.of("design", Door.PYTHON, words)
     aims = DesignAims(corners=corners, plot=plot, front=front, searches=searches)
     with given.judging():
-        wanted = design_question(given, Path(job), given.machine(machine), aims)
-        return search(wanted.job, wanted.machine, wanted.spec, wanted.options, wanted.wanted)
+        question = design_question(given, Path(job), given.machine(machine), aims)
+        return search(
+            question.job, question.machine, question.spec, question.options, question.requirements
+        )

@@ -157,16 +157,16 @@ def run(
         notes += may.notes
         manner = Manner(may=may, recorded=recorded, pass_stops=pass_stops)
         inputs = [one for one in inputs_read() if not one.samefile(file)]
-        kept = RunStore(Path(store)).begin(plan, known, recorded, speed, inputs, over.sent)
-        done = execute(over, plan, kept, manner, unattended)
+        open_run = RunStore(Path(store)).begin(plan, known, recorded, speed, inputs, over.sent)
+        done = execute(over, plan, open_run, manner, unattended)
     judged = judge_run(done, plan, spec, manner)
     if done.ended is RunEnd.FAULT:
         raise fault_of(done, over)
     if judged.verdict is None:
         raise RecordingError(
             f"{judged.text}: nothing was recorded to be judged",
-            remedy=f"The folder of the run is {kept.path}.",
+            remedy=f"The folder of the run is {open_run.path}.",
         )
     of = Judged(recordings=(judged.recording,), plan=plan, spec=spec, verdict=judged.verdict)
     notes += [judged.warned] if judged.warned else []
-    return Ran(of, kept.path, done.ended.value, tuple(notes))
+    return Ran(of, open_run.path, done.ended.value, tuple(notes))

@@ -25,13 +25,32 @@ if TYPE_CHECKING:
         RunEnd,
     )
     from threadline.files.step_play import StepPlay, StepTable, StitchBlock
-    from threadline.files.stream import KeptStream, Stream
+    from threadline.files.stream import CachedStream, Stream
 
 __all__ = [
-    "Channel", "ChannelKind", "Clock", "Commands", "Creep", "Event", "EventKind", "KeptStream",
-    "Outcome", "Recording", "RecordingBlock", "RunEnd", "StepPlay", "StepTable", "StitchBlock",
-    "Stream", "SwitchSchedule", "TickBlock", "TickTable", "common_period_s", "played",
-    "switch_schedule", "tick_table",
+    "CachedStream",
+    "Channel",
+    "ChannelKind",
+    "Clock",
+    "Commands",
+    "Creep",
+    "Event",
+    "EventKind",
+    "Outcome",
+    "Recording",
+    "RecordingBlock",
+    "RunEnd",
+    "StepPlay",
+    "StepTable",
+    "StitchBlock",
+    "Stream",
+    "SwitchSchedule",
+    "TickBlock",
+    "TickTable",
+    "common_period_s",
+    "played",
+    "switch_schedule",
+    "tick_table",
 ]  # fmt: skip
 
 __getattr__ = later(
@@ -42,6 +61,6 @@ __getattr__ = later(
         "tick_table",
         "recording": "Channel ChannelKind Outcome Recording RecordingBlock RunEnd",
         "step_play": "StepPlay StepTable StitchBlock",
-        "stream": "KeptStream Stream",
+        "stream": "CachedStream Stream",
     },
 )

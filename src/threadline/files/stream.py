@@ -62,22 +62,22 @@ class Stream(Generic[T]):
         return Stream(_iterate, tuple(items))
 
 
-class KeptStream(Stream[SizedT]):
+class CachedStream(Stream[SizedT]):
     """A stream of blocks that is computed once and kept in memory, if it is short.
 
     All readings, simultaneous or later, share the blocks that the first reading computed. A stream
-    with more than ``MOST_KEPT`` rows in total is computed anew for each reading. Kept blocks are
+    with more than ``MOST_CACHED`` rows in total is computed anew for each reading. Kept blocks are
     not pickled: another process computes them again. Because readers share the blocks, the blocks
     must be locked.
 
-    >>> lengths = KeptStream(iter, ("abc", "de"))
+    >>> lengths = CachedStream(iter, ("abc", "de"))
     >>> list(lengths) == list(lengths) == ["abc", "de"]
     True
     """
 
-    MOST_KEPT = 2048
+    MOST_CACHED = 2048
 
-    __slots__ = ("_ended", "_items", "_lock", "_rows", "_source")
+    __slots__ = ("_exhausted", "_items", "_lock", "_rows", "_source")
 
     def __init__(
         self, function: Callable[P, Iterator[SizedT]], *arguments: P.args, **keywords: P.kwargs
@@ -88,12 +88,12 @@ class KeptStream(Stream[SizedT]):
     def _begin(self) -> None:
         self._items: list[SizedT] = []  # blocks computed so far
         self._source: Iterator[SizedT] | None = None  # computes the following blocks
-        self._rows = 0  # if it exceeds ``MOST_KEPT``, every reading computes its own blocks
-        self._ended = False
+        self._rows = 0  # if it exceeds ``MOST_CACHED``, every reading computes its own blocks
+        self._exhausted = False
         self._lock = Lock()
 
     def __iter__(self) -> Iterator[SizedT]:
-        return iter(tuple(self._items)) if self._ended else self._reading()
+        return iter(tuple(self._items)) if self._exhausted else self._reading()
 
     def __getstate__(self) -> dict[str, Any]:
         return {name: getattr(self, name) for name in Stream.__slots__}
@@ -113,10 +113,12 @@ class KeptStream(Stream[SizedT]):
             with self._lock:
                 if yielded_count < len(items):
                     continue
-                if self._ended:
+                if self._exhausted:
                     return
                 remaining = (
-                    self._extend() if self._rows <= self.MOST_KEPT else self._behind(yielded_count)
+                    self._extend()
+                    if self._rows <= self.MOST_CACHED
+                    else self._behind(yielded_count)
                 )
         yield from remaining
 
@@ -131,13 +133,13 @@ class KeptStream(Stream[SizedT]):
         """Compute the next item; if there are too many to keep, return it and all further items."""
         source = super().__iter__() if self._source is None else self._source
         rows = self._rows
-        self._source, self._rows = None, self.MOST_KEPT + 1  # in case it raises
+        self._source, self._rows = None, self.MOST_CACHED + 1  # in case it raises
         item = next(source, None)
         item_rows = 0 if item is None else self._rows_of(item)
-        if item is not None and rows + item_rows > self.MOST_KEPT:
+        if item is not None and rows + item_rows > self.MOST_CACHED:
             self._items = []  # readers hold their own reference to the old list
             return chain((item,), source)
-        self._ended = item is None
+        self._exhausted = item is None
         if item is not None:
             self._items.append(item)
             self._source, self._rows = source, rows + item_rows

@@ -20,8 +20,8 @@ Curve = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
 Spans = tuple[IntArray, FloatArray, FloatArray, FloatArray, np.ndarray]
 
 
-def invert(curve: Curve, spans: Spans, span: IntArray, wanted_m: FloatArray) -> FloatArray:
-    """Return the (m,) parameters of the points at the lengths ``wanted_m`` along the curve.
+def invert(curve: Curve, spans: Spans, span: IntArray, target_m: FloatArray) -> FloatArray:
+    """Return the (m,) parameters of the points at the lengths ``target_m`` along the curve.
 
     Parameters
     ----------
@@ -31,7 +31,7 @@ def invert(curve: Curve, spans: Spans, span: IntArray, wanted_m: FloatArray) -> 
         ``piece``, ``begin_u``, ``end_u``, ``begin_m`` and ``even`` of the table.
     span
         (m,) int: the span of each length.
-    wanted_m
+    target_m
         (m,) lengths from the start of the curve.
 
     Notes
@@ -40,7 +40,7 @@ def invert(curve: Curve, spans: Spans, span: IntArray, wanted_m: FloatArray) -> 
     up to a parameter is computed by quadrature with 12 nodes from the beginning of the span; it is
     exact to rounding.
     """
-    result: FloatArray = _invert(*curve, *spans, span, wanted_m)
+    result: FloatArray = _invert(*curve, *spans, span, target_m)
     return result
 
 
@@ -61,14 +61,14 @@ def _speed(top, bottom, begin, sweep, u):  # type: ignore[no-untyped-def]
 
 @njit()
 def _invert(  # type: ignore[no-untyped-def]
-    top, bottom, begin_rad, sweep_rad, piece, begin_u, end_u, begin_m, even, span, wanted_m
+    top, bottom, begin_rad, sweep_rad, piece, begin_u, end_u, begin_m, even, span, target_m
 ):
-    result = np.empty(len(wanted_m))
-    for i in range(len(wanted_m)):
+    result = np.empty(len(target_m))
+    for i in range(len(target_m)):
         k = span[i]
         p = piece[k]
         low, high = begin_u[k], end_u[k]
-        in_span_m, span_m = wanted_m[i] - begin_m[k], begin_m[k + 1] - begin_m[k]
+        in_span_m, span_m = target_m[i] - begin_m[k], begin_m[k + 1] - begin_m[k]
         span_share = min(1.0, max(0.0, in_span_m / span_m)) if span_m > 0.0 else 0.0
         u = low + span_share * (high - low)
         if even[p]:
@@ -148,16 +148,16 @@ class ArcTable:
         parameter. Lengths outside of the curve are clamped to its ends.
         """
         # For a few lengths np.clip takes three times as long as both of these calls.
-        wanted_m = np.maximum(np.asarray(length_m, dtype=np.float64), 0.0)
-        wanted_m = np.minimum(wanted_m, self.length_m)
-        span_index = np.searchsorted(self.begin_m, wanted_m, side="right") - 1
+        clipped_m = np.maximum(np.asarray(length_m, dtype=np.float64), 0.0)
+        clipped_m = np.minimum(clipped_m, self.length_m)
+        span_index = np.searchsorted(self.begin_m, clipped_m, side="right") - 1
         span_index = np.minimum(np.maximum(span_index, 0), len(self.piece) - 1)
         p = self.pieces
         u = invert(
             (p.top, p.bottom, p.begin_rad, p.sweep_rad),
             (self.piece, self.begin_u, self.end_u, self.begin_m, self.even),
             span_index,
-            wanted_m,
+            clipped_m,
         )
         return self.piece[span_index], u
 

@@ -126,11 +126,11 @@ def _stroke(
                 f"the row has {len(cells)} cells, the heading {len(columns)}",
                 place=Place(file, number),
             )
-    numbers = [number for number, _ in rows]
+    line_numbers = [number for number, _ in rows]
     if len(rows) < 2:
         raise JobError(
             "a contour has one point only",
-            place=Place(file, numbers[0]),
+            place=Place(file, line_numbers[0]),
             remedy="Give it two or more points; a blank row ends a contour.",
         )
     text: dict[str, list[str]] = {}
@@ -140,20 +140,20 @@ def _stroke(
         if name in ("turn", "layer"):
             text[name] = cells
         else:
-            value[name] = factor * _numbers(name, cells, numbers, separator, file)
-    layer = _layer(text.get("layer", [""]), numbers, file)
+            value[name] = factor * _numbers(name, cells, line_numbers, separator, file)
+    layer = _layer(text.get("layer", [""]), line_numbers, file)
     points = np.column_stack([value["x"], value["y"]])
-    _refuse_unfinished(points, numbers, file)
+    _refuse_unfinished(points, line_numbers, file)
     if "cx" in value and np.isfinite(value["cx"]).any():
-        pieces = _arcs(points, value["cx"], value["cy"], text["turn"], numbers, file)
+        pieces = _arcs(points, value["cx"], value["cy"], text["turn"], line_numbers, file)
     else:
         bulge = np.nan_to_num(value.get("bulge", np.zeros(len(points))), nan=0.0)
-        pieces = bulges(points, bulge[:-1], np.array(numbers[:-1]))
+        pieces = bulges(points, bulge[:-1], np.array(line_numbers[:-1]))
     return Stroke(pieces=pieces, layer=layer, colour="none")
 
 
 def _numbers(
-    name: str, cells: list[str], numbers: list[int], separator: str, file: str
+    name: str, cells: list[str], line_numbers: list[int], separator: str, file: str
 ) -> FloatArray:
     """Return a column; blank cells are NaN."""
     if separator != ",":
@@ -168,7 +168,7 @@ def _numbers(
         k = int(invalid[0])
         raise JobError(
             f"{name} is {cells[k][:40]!r}, not a finite number",
-            place=Place(file, numbers[k]),
+            place=Place(file, line_numbers[k]),
             remedy="Correct the row.",
         )
     return values
@@ -181,8 +181,8 @@ def _number(cell: str) -> float:
         return math.inf
 
 
-def _layer(layers: list[str], numbers: list[int], file: str) -> str:
-    for number, layer in zip(numbers, layers, strict=False):
+def _layer(layers: list[str], line_numbers: list[int], file: str) -> str:
+    for number, layer in zip(line_numbers, layers, strict=False):
         if layer != layers[0]:
             raise JobError(
                 f"the layer changes from {layers[0][:40]!r} within a contour",
@@ -192,11 +192,13 @@ def _layer(layers: list[str], numbers: list[int], file: str) -> str:
     return layers[0]
 
 
-def _refuse_unfinished(points: FloatArray, numbers: list[int], file: str) -> None:
+def _refuse_unfinished(points: FloatArray, line_numbers: list[int], file: str) -> None:
     blank = np.flatnonzero(np.isnan(points).any(axis=1))
     if len(blank):
         raise JobError(
-            "a point lacks x or y", place=Place(file, numbers[int(blank[0])]), remedy="Fill it in."
+            "a point lacks x or y",
+            place=Place(file, line_numbers[int(blank[0])]),
+            remedy="Fill it in.",
         )
 
 
@@ -205,11 +207,11 @@ def _arcs(
     cx: FloatArray,
     cy: FloatArray,
     turns: list[str],
-    numbers: list[int],
+    line_numbers: list[int],
     file: str,
 ) -> Pieces:
     parts: list[Pieces] = []
-    for k, number in enumerate(numbers[:-1]):
+    for k, number in enumerate(line_numbers[:-1]):
         centre = np.array([cx[k], cy[k]])
         if np.isnan(centre).all():
             parts.append(chords(points[k : k + 2], number))

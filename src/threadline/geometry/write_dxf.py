@@ -102,8 +102,8 @@ def dxf_of(shapes: Iterable[DrawnShape]) -> bytes:
 def _filled_as(numbered: tuple[int, DrawnShape]) -> tuple[int, int, str]:
     """Return the key that shapes have in common if they are filled together."""
     index, shape = numbered
-    alone = not shape.group or shape.fill == "none" or shape.kind == "leader"
-    return (index if alone else -1, shape.group, shape.fill)
+    is_single = not shape.group or shape.fill == "none" or shape.kind == "leader"
+    return (index if is_single else -1, shape.group, shape.fill)
 
 
 def _add_shapes(space: Any, shapes: Sequence[DrawnShape]) -> None:

@@ -174,7 +174,7 @@ def _si(quantity: object) -> float | None:
     return getattr(quantity, "si", None)
 
 
-class _KeptSamples:
+class _SampleSink:
     """A sink that keeps the samples."""
 
     def __init__(self) -> None:
@@ -225,7 +225,7 @@ def measure(
     RecordingError
         If nothing was recorded.
     """
-    samples = _KeptSamples()
+    samples = _SampleSink()
     with closing(Desk()) as desk:
         ended, why, _ = run_commands(
             planned.commands,

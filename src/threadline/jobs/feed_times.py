@@ -103,32 +103,36 @@ def _lengths(displacement: FloatArray) -> FloatArray:
     return np.asarray(np.sqrt((displacement**2).sum(axis=1)))
 
 
-def wanted_feed(
-    programmed: Feed | None, given: Feed | None, place: Place | None, job: Job, machine: Machine
+def feed_of_move(
+    programmed: Feed | None,
+    option_feed: Feed | None,
+    place: Place | None,
+    job: Job,
+    machine: Machine,
 ) -> Feed:
     """Return the feed that applies to a move.
 
-    A rapid move stays rapid. For any other move ``given`` applies, else ``programmed``, else the
-    operator's normal feed. An override multiplies the feed that applies without the override, so
-    that the feeds keep their ratios.
+    A rapid move stays rapid. For any other move ``option_feed`` applies, else ``programmed``, else
+    the operator's normal feed. An override multiplies the feed that applies without the override,
+    so that the feeds keep their ratios.
 
     Raises
     ------
     PlanError
         If no feed applies, or the feed is not above 0.
     OptionError
-        If ``given`` is a value of F words, and no F word of the job is a speed.
+        If ``option_feed`` is a value of F words, and no F word of the job is a speed.
     """
     if programmed is not None and programmed.mode is FeedMode.RAPID:
         return programmed
-    if given is not None and given.mode is FeedMode.OVERRIDE:
-        own_feed = wanted_feed(programmed, None, place, job, machine)
-        most = None if own_feed.most is None else own_feed.most * given.value
-        return replace(own_feed, value=own_feed.value * given.value, most=most)
-    if given is not None:
-        if given.mode is FeedMode.F_WORD:
-            return as_f_words(given.value, job.feed_rule)
-        return given
+    if option_feed is not None and option_feed.mode is FeedMode.OVERRIDE:
+        own_feed = feed_of_move(programmed, None, place, job, machine)
+        most = None if own_feed.most is None else own_feed.most * option_feed.value
+        return replace(own_feed, value=own_feed.value * option_feed.value, most=most)
+    if option_feed is not None:
+        if option_feed.mode is FeedMode.F_WORD:
+            return as_f_words(option_feed.value, job.feed_rule)
+        return option_feed
     if programmed is None:
         if machine.operator is None:
             raise PlanError(
@@ -140,19 +144,19 @@ def wanted_feed(
 
 
 def nominal_time_s(
-    displacement: FloatArray, wanted: Feed, given: Feed | None, job: Job, machine: Machine
+    displacement: FloatArray, feed: Feed, option_feed: Feed | None, job: Job, machine: Machine
 ) -> tuple[FloatArray, int]:
-    """Return the (n,) times in s at ``wanted``, and the number of slowed moves.
+    """Return the (n,) times in s at ``feed``, and the number of slowed moves.
 
-    Unless a feed is ``given``, moves are slowed to the operator's normal feed; an override
+    Without ``option_feed``, moves are slowed to the operator's normal feed; an override
     multiplies the normal feed, too.
     """
-    nominal = feed_time_s(displacement, wanted, job.axes, machine)
+    nominal = feed_time_s(displacement, feed, job.axes, machine)
     operator = machine.operator
-    override = given is None or given.mode is FeedMode.OVERRIDE
-    if not override or operator is None or wanted.mode is FeedMode.RAPID:
+    override = option_feed is None or option_feed.mode is FeedMode.OVERRIDE
+    if not override or operator is None or feed.mode is FeedMode.RAPID:
         return nominal, 0
-    share = 1.0 if given is None else given.value
+    share = 1.0 if option_feed is None else option_feed.value
     normal = Feed(FeedMode.COUNT_PER_TICK, share * operator.normal_feed.si)
     slowest = feed_time_s(displacement, normal, job.axes, machine)
     return np.maximum(nominal, slowest), int((slowest > nominal * (1 + 1e-9)).sum())
@@ -193,11 +197,11 @@ def programmed_time_s(job: Job, machine: Machine, feed: Feed | None = None) -> f
         ends = [begin for begin, _ in run.feeds[1:]] + [len(displacements)]
         for (begin, programmed), end in zip(run.feeds, ends, strict=True):
             place = Place(run.file, int(run.line[begin]))
-            wanted = wanted_feed(programmed, feed, place, job, machine)
-            if wanted.mode is FeedMode.RAPID:
+            move_feed = feed_of_move(programmed, feed, place, job, machine)
+            if move_feed.mode is FeedMode.RAPID:
                 moves_s = (np.abs(displacements[begin:end]) / velocity).max(axis=1)
             else:
-                moves_s = feed_time_s(displacements[begin:end], wanted, job.axes, machine)
+                moves_s = feed_time_s(displacements[begin:end], move_feed, job.axes, machine)
             total += times * float(moves_s.sum())
     return total
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from threadline.base.arrays import FloatArray, IntArray
 from threadline.errors import Place
-from threadline.files import KeptStream, Stream
+from threadline.files import CachedStream, Stream
 
 if TYPE_CHECKING:
     from threadline.geometry.contours import DrawnLine
@@ -292,10 +292,10 @@ Pace: TypeAlias = Literal["feed", "needle", "switchings", "shaft"]
 Operation: TypeAlias = Move | Dwell | SetOutput | WaitInput | Home | Stop | ToolEvent
 
 
-class KeptOperations(KeptStream[Any]):
+class CachedOperations(CachedStream[Any]):
     """Operations and runs of moves that can be read many times; a short job is kept in memory."""
 
-    MOST_KEPT = 1 << 15
+    MOST_CACHED = 1 << 15
 
     __slots__ = ()
 

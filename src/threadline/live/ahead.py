@@ -18,7 +18,7 @@ from threadline.live.braking import (
     CountLimits,
     brake,
     change_rate,
-    gentle_ticks,
+    gentle_hold_ticks,
     most_changed,
 )
 from threadline.live.feed_override import feed_words
@@ -27,7 +27,7 @@ from threadline.live.path_window import PathWindow
 from threadline.live.wire import Message, event_row
 from threadline.machine import Machine
 
-_KEPT = 4  # past ticks that are kept
+_PAST_TICKS = 4  # past ticks that are kept
 SETTLE_S = 0.5
 """Recording time in s after the last row, as in a simulation."""
 OVERRIDE_S = 0.5
@@ -89,10 +89,10 @@ class Ahead:
         self._on_the_way: FloatArray = np.empty(0)  # places of the change to that rate
         self._line = (0, 0.0)  # tick and place from which on that rate is played
         self._overrides = [(-1, 1.0)]  # ticks and rates that the machine was sent
-        self._given: list[tuple[int, Event]] = []  # sent events, and their ticks
+        self._sent_events: list[tuple[int, Event]] = []  # sent events, and their ticks
         self._window.reach(MOST_PLACES)
         self.to_rest = self.gently = False
-        self._held_ticks = gentle_ticks(float(machine.tick_clock.period_s))
+        self._held_ticks = gentle_hold_ticks(float(machine.tick_clock.period_s))
         self._before_cut: tuple[Any, ...] | None = None
 
     @property
@@ -144,13 +144,13 @@ class Ahead:
 
     def forget(self, tick: int) -> None:
         """Delete everything before ``tick``, except the few ticks that braking needs."""
-        forgotten = tick - _KEPT - self._first
+        forgotten = tick - _PAST_TICKS - self._first
         if forgotten > 0:
             forgotten = min(forgotten, len(self._places) - 1)
             self._places = self._places[forgotten:].copy()
             self._first += forgotten
-            self._window.forget(float(self._places[0]) - _KEPT)
-            self._given = [given for given in self._given if given[0] >= self._first]
+            self._window.forget(float(self._places[0]) - _PAST_TICKS)
+            self._sent_events = [given for given in self._sent_events if given[0] >= self._first]
 
     # --- sending ---------------------------------------------------------------------------
 
@@ -207,10 +207,10 @@ class Ahead:
         """Return the refill that brakes along the path from ``tick`` on."""
         tick = min(max(tick, self._first), self.end)
         rates = self._rate, self._on_the_way, self._line, self._overrides
-        self._before_cut = (self._first, self._places, self._given, rates)
+        self._before_cut = (self._first, self._places, self._sent_events, rates)
         self._places = self._places[: tick - self._first + 1]
-        events_put_back = [event for event_tick, event in self._given if event_tick >= tick]
-        self._given = [given for given in self._given if given[0] < tick]
+        events_put_back = [event for event_tick, event in self._sent_events if event_tick >= tick]
+        self._sent_events = [given for given in self._sent_events if given[0] < tick]
         self._overrides = [change for change in self._overrides if change[0] < tick]
         self._window.put_back(events_put_back)
         braking_places = self._brake(self._held_ticks if self.gently else 0.0)
@@ -223,11 +223,11 @@ class Ahead:
         """Undo the last cut, which the machine refused; return whether there was one."""
         if self._before_cut is None:
             return False
-        self._first, self._places, given, rates = self._before_cut
+        self._first, self._places, sent_events, rates = self._before_cut
         self._rate, self._on_the_way, self._line, self._overrides = rates
         self._before_cut = None
         self._window.take_events(self.place)  # events that the cut had put back
-        self._given = given
+        self._sent_events = sent_events
         return True
 
     def rest_until(self, tick: int) -> None:
@@ -260,14 +260,14 @@ class Ahead:
 
     def _refill(self, begin: int, tail: FloatArray, events: Sequence[Event] = ()) -> Message:
         places = np.concatenate([self._places[begin - self._first :], tail])
-        wanted = self.end - begin
+        row_count = self.end - begin
         positions = self._window.counts(places)
         at_counts = np.rint(positions).astype(np.int64)
         counts = at_counts[1:] - at_counts[:-1]
         self._check(positions + self.start, counts)
         head = {
             "first": begin,
-            "wanted": wanted,
+            "wanted": row_count,
             "last": self.complete,
             "events": [event_row(event) for event in (*events, *self._events(begin))],
         }
@@ -283,7 +283,7 @@ class Ahead:
         for due in self._window.take_events(self.place):
             row = np.searchsorted(self._places, due.tick) + self._first
             tick = max(int(row), begin)
-            self._given.append((tick, due))
+            self._sent_events.append((tick, due))
             events.append(replace(due, tick=tick))
         return events
 

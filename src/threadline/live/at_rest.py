@@ -70,7 +70,7 @@ class AtRest:
         return self._machine
 
     @property
-    def stands(self) -> IntArray:
+    def position_counts(self) -> IntArray:
         """Commanded position, (axes,) in the units of the commands; known once it is homed."""
         return self._stands
 

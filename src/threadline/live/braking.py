@@ -20,7 +20,7 @@ from threadline.base.compiled import njit
 from threadline.dynamics.analysis import fastest
 from threadline.machine import Machine
 
-GENTLE_S = 0.5
+GENTLE_HOLD_S = 0.5
 """Duration of the braking and of the restart of a gentle hold, s: loops catch up their lag in
 it."""
 _DURATIONS = (1.0, 2.0, 3.0, 4.0, 6.0, 8.0, 11.0, 16.0, 22.0, 32.0, 45.0, 64.0, 90.0, 128.0, 256.0)
@@ -171,9 +171,9 @@ def _fall(previous: float, place: float, ticks: float) -> FloatArray:
     return np.asarray(place + rate * ticks * _FALLS[ticks])
 
 
-def gentle_ticks(tick_s: float) -> float:
-    """Return the shortest braking of a gentle hold in ticks: ``GENTLE_S``, or the longest known."""
-    return next((ticks for ticks in _DURATIONS if ticks * tick_s >= GENTLE_S), _DURATIONS[-1])
+def gentle_hold_ticks(tick_s: float) -> float:
+    """Return the shortest braking of a gentle hold in ticks: about ``GENTLE_HOLD_S``."""
+    return next((ticks for ticks in _DURATIONS if ticks * tick_s >= GENTLE_HOLD_S), _DURATIONS[-1])
 
 
 def brake(
@@ -190,7 +190,7 @@ def brake(
     limits
         Limits of the axes. If no duration keeps them, the duration that exceeds them least is used.
     gently
-        Shortest duration, in ticks, at most that of ``gentle_ticks``; 0 for as short as the limits
+        Shortest duration, in ticks, at most ``gentle_hold_ticks``; 0 for as short as the limits
         allow.
     """
     second_last, previous, now = before
@@ -261,8 +261,8 @@ def change_rate(
     arriving = place - rate_before * np.arange(2.0, -1.0, -1.0)
     last = floor(place) + most_changed(gently) + 2
     path_counts = path.counts(np.arange(floor(arriving[0]), last, dtype=np.float64))
-    for wanted in [gently * factor for factor in _LONGER] if gently else _DURATIONS:
-        ticks = _landing(place, rate_before, wanted) if rate_after == 1.0 else wanted
+    for duration in [gently * factor for factor in _LONGER] if gently else _DURATIONS:
+        ticks = _landing(place, rate_before, duration) if rate_after == 1.0 else duration
         k = np.arange(1, ceil(ticks) + 1)
         elapsed = np.minimum(k, ticks)
         places = np.asarray(
@@ -284,11 +284,11 @@ def change_rate(
     )
 
 
-def _landing(place: float, rate_before: float, wanted: float) -> float:
-    """Return a duration of at least ``wanted`` ticks after which the rate 1 begins on a whole row.
+def _landing(place: float, rate_before: float, duration: float) -> float:
+    """Return a duration of at least ``duration`` ticks, so that the rate 1 begins on a whole row.
 
     A change in T ticks is T (1 - before) / 2 rows shorter than T ticks at the rate 1.
     """
     row = 2.0 / (1.0 - rate_before)  # ticks that lose a row
     over_row = row * (place - floor(place))
-    return over_row + row * max(ceil((wanted - over_row) / row), 0 if over_row else 1)
+    return over_row + row * max(ceil((duration - over_row) / row), 0 if over_row else 1)

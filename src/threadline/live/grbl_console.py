@@ -21,7 +21,7 @@ from threadline.live.grbl_words import Status, in_words
 from threadline.live.guards import clock_s
 
 _MOST_CHARACTERS = 70  # grbl 1.1 takes 80 with its line feed; older builds 70
-_KEPT = 400
+_MOST_LINES = 400
 _QUESTIONS = frozenset({"$", "$$", "$#", "$G", "$I", "$I+", "$N"})
 _SWITCH_OFF = frozenset({"M5", "M9"})
 _SETTING = re.compile(r"\$(\d{1,3})=(-?\d{1,9}(?:\.\d{0,9})?)")
@@ -161,7 +161,7 @@ class Traffic:
 
     def __init__(self, in_program: Callable[[], bool], in_jog: Callable[[], bool]) -> None:
         self._in_program, self._in_jog = in_program, in_jog
-        self._fresh: deque[Exchange] = deque(maxlen=_KEPT)
+        self._fresh: deque[Exchange] = deque(maxlen=_MOST_LINES)
         self._typed = ""
 
     def typed(self, text: str) -> None:

@@ -25,9 +25,9 @@ from threadline.live.grbl_settings import (
     BoardSetting,
     compared,
     number_of,
+    setting_values,
     texts_of,
     units_of,
-    wanted_of,
 )
 from threadline.live.grbl_words import (
     JOG_CANCEL,
@@ -304,7 +304,7 @@ class Controller:
             the first such setting.
         """
         machine, self.brakes_s = self.machine, 0.0
-        wanted = wanted_of(machine, self._letters)
+        expected = setting_values(machine, self._letters)
         for name, letter in zip(machine.axis_names, self._columns(), strict=True):
             for first_number, exact, quantity in (
                 (STEPS, True, "steps"),
@@ -312,13 +312,16 @@ class Controller:
                 (ACCELERATION, False, "acceleration"),
             ):
                 number = first_number + letter
-                board_value, wanted_value = number_of(self._texts.get(number, "")), wanted[number]
-                within_limit = 0.0 < board_value <= wanted_value * (1.0 + SAME)
-                if not within_limit or (exact and board_value < wanted_value * (1.0 - SAME)):
+                board_value, expected_value = (
+                    number_of(self._texts.get(number, "")),
+                    expected[number],
+                )
+                within_limit = 0.0 < board_value <= expected_value * (1.0 + SAME)
+                if not within_limit or (exact and board_value < expected_value * (1.0 - SAME)):
                     raise CommandError(
                         f"${number}={board_value:g} of the controller: the {quantity} of {name} in "
-                        f"{machine.name} is {wanted_value:.6g}",
-                        remedy=f"Set ${number}={wanted_value:.6g}, or correct the machine file.",
+                        f"{machine.name} is {expected_value:.6g}",
+                        remedy=f"Set ${number}={expected_value:.6g}, or correct the machine file.",
                     )
             speed, acceleration = (number_of(self._texts[n + letter]) for n in (RATE, ACCELERATION))
             self.brakes_s = max(self.brakes_s, speed / 60.0 / acceleration)

@@ -20,7 +20,7 @@ from threadline.live.grbl_run import POLL_S, GrblRun
 from threadline.live.grbl_words import Status, in_words
 from threadline.live.guards import clock_s
 from threadline.live.kinds_run import run_kind_of
-from threadline.live.operated import Load
+from threadline.live.operated import PlanToSend
 from threadline.live.states import MOVING, Cause, Desk, Hold, Sink, State, next_state
 
 _AT_REST = frozenset({State.DISABLED, State.ENABLED, State.FAULT})
@@ -59,7 +59,7 @@ class GrblOperated(GrblRun):
         return self._trace.channels
 
     @property
-    def stands(self) -> IntArray:
+    def position_counts(self) -> IntArray:
         """Position commanded by the controller, (axes,) in counts."""
         return np.rint(self._at * self._machine.counts_per_unit).astype(np.int64)
 
@@ -217,40 +217,40 @@ class GrblOperated(GrblRun):
 
     # --- runs ------------------------------------------------------------------------------
 
-    def prepare(self, plan: Plan) -> Load:
+    def prepare(self, plan: Plan) -> PlanToSend:
         """Write the program of a plan."""
         program, sent = written_program(plan)
-        return Load(plan, sent, notes_on(program, self.controller), program)
+        return PlanToSend(plan, sent, notes_on(program, self.controller), program)
 
-    def rest(self, load: Load, operation: int, *, at_rest: bool) -> Load:  # noqa: ARG002  # it makes its own ramps
-        """Return the rest of a load from an operation on, as lines."""
-        assert load.program is not None
-        rest, program = rest_of_program(load.program, load.plan, operation)
+    def rest(self, to_send: PlanToSend, operation: int, *, at_rest: bool) -> PlanToSend:  # noqa: ARG002  # it makes its own ramps
+        """Return the rest of a plan from an operation on, as lines."""
+        assert to_send.program is not None
+        rest, program = rest_of_program(to_send.program, to_send.plan, operation)
         notes = notes_on(program, self.controller)
-        sent = dict.fromkeys(load.sent, b"".join(program.lines))
-        return replace(load, sent=sent, notes=notes, program=program, rest=rest)
+        sent = dict.fromkeys(to_send.sent, b"".join(program.lines))
+        return replace(to_send, sent=sent, notes=notes, program=program, rest=rest)
 
-    def refuse(self, load: Load) -> None:
+    def refuse(self, to_send: PlanToSend) -> None:
         """Refuse a program that begins elsewhere, or leaves the travel."""
-        assert load.program is not None
-        self.refuse_program(load.program, self._starts(load))
+        assert to_send.program is not None
+        self.refuse_program(to_send.program, self._starts(to_send))
 
-    def run(self, load: Load, *, hold: Hold, no_override: str = "") -> None:  # noqa: ARG002  # it holds on its path
+    def run(self, to_send: PlanToSend, *, hold: Hold, no_override: str = "") -> None:  # noqa: ARG002  # it holds on its path
         """Begin a run."""
-        assert load.program is not None
-        self.start(load.program, self._starts(load), no_override=no_override)
+        assert to_send.program is not None
+        self.start(to_send.program, self._starts(to_send), no_override=no_override)
         self._set_out = True
 
-    def starts(self, load: Load) -> IntArray:
-        """Return where a load begins, (axes,) in counts."""
+    def starts(self, to_send: PlanToSend) -> IntArray:
+        """Return where a plan begins, (axes,) in counts."""
         return (
-            run_kind_of(self._machine).start(load.plan.commands)
-            if load.rest is None
-            else load.rest.begins
+            run_kind_of(self._machine).start(to_send.plan.commands)
+            if to_send.rest is None
+            else to_send.rest.begins
         )
 
-    def _starts(self, load: Load) -> FloatArray:
-        return np.asarray(self.starts(load) / self._machine.counts_per_unit)
+    def _starts(self, to_send: PlanToSend) -> FloatArray:
+        return np.asarray(self.starts(to_send) / self._machine.counts_per_unit)
 
     # --- by hand ---------------------------------------------------------------------------
 

@@ -109,7 +109,7 @@ class GrblRun:
         self._command_s = -np.inf  # time of the last hold or resume command
         self._looked_s = clock_s()
         self.no_override = ""
-        self._overrides.forget_wanted()
+        self._overrides.forget_request()
         self._last_state_words = ""  # reported by the controller while it holds
         self._unready = ""  # why it cannot resume
         self._passed = -1  # line of the M0 that was passed last

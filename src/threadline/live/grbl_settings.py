@@ -122,7 +122,7 @@ def units_of(machine: Machine) -> FloatArray:
     )
 
 
-def wanted_of(machine: Machine, letters: Sequence[str]) -> dict[int, float]:
+def setting_values(machine: Machine, letters: Sequence[str]) -> dict[int, float]:
     """Return the values of a machine file by the number of their settings, in grbl's units.
 
     Parameters
@@ -159,7 +159,7 @@ def compared(
     Settings that a run needs (steps, speed, acceleration) are listed even if the board does not
     report them.
     """
-    file_values = wanted_of(machine, letters)
+    file_values = setting_values(machine, letters)
     rows = []
     needed = {number for number in file_values if STEPS <= number < TRAVEL}
     for number in sorted({*texts, *needed}):

@@ -206,16 +206,16 @@ class Overrides:
 
     def __init__(self) -> None:
         self._reported = np.full(3, AS_IS)  # of feed, rapids and spindle, %
-        self.forget_wanted()
+        self.forget_request()
 
     def reset(self) -> None:
         """Note a reset of the controller, after which all its overrides are 100 %."""
         self._reported = np.full(3, AS_IS)
 
-    def forget_wanted(self) -> None:
+    def forget_request(self) -> None:
         """Forget the requested override, and any reported change that was not noted."""
         self._unnoted = False
-        self._wanted: int | None = None  # requested feed override, %; None once it is reported
+        self._requested: int | None = None  # requested feed override, %; None once it is reported
         self._sent_s = -np.inf  # time of the latest step to it
         self._until_s = np.inf  # time at which the request fails
 
@@ -232,7 +232,7 @@ class Overrides:
     @property
     def to_note(self) -> bool:
         """Whether the reported overrides have changed, other than by steps to a request."""
-        return self._unnoted and self._wanted is None
+        return self._unnoted and self._requested is None
 
     def take(self, found: Status, *, to_note: bool = True) -> None:
         """Take the overrides of a report, if it has any; ``to_note``: a change is to be noted."""
@@ -246,7 +246,7 @@ class Overrides:
 
     def want(self, percent: int, now_s: float) -> None:
         """Request a feed override, %, at the time ``now_s``."""
-        self._wanted, self._until_s = percent, now_s + _OVERRIDES_S
+        self._requested, self._until_s = percent, now_s + _OVERRIDES_S
 
     def waited_s(self, now_s: float) -> float:
         """Return the time since the latest step, s."""
@@ -257,17 +257,17 @@ class Overrides:
 
         The bytes are empty if no step is due, the reason if the request has not failed.
         """
-        if self._wanted is None or self._wanted == self.percent:
-            self._wanted = None
+        if self._requested is None or self._requested == self.percent:
+            self._requested = None
             return b"", ""
         if now_s > self._until_s:
-            requested, self._wanted = self._wanted, None
+            requested, self._requested = self._requested, None
             return b"", (
                 f"the controller was told to override the feed by {requested} %, and reports "
                 f"{self.percent} %"
             )
         self._sent_s = now_s
-        return override_bytes(self._wanted, self.percent), ""
+        return override_bytes(self._requested, self.percent), ""
 
 
 def numbers(text: str) -> FloatArray:

@@ -26,7 +26,7 @@ from threadline.live.braking import (
     CountLimits,
     brake,
     change_rate,
-    gentle_ticks,
+    gentle_hold_ticks,
     most_changed,
     rise,
 )
@@ -98,7 +98,7 @@ def hold_ahead_m(plan: Plan) -> float:
         position_counts = last_counts + np.cumsum(block.counts, axis=0)
         times_s = table.clock.times_s(block.first_tick + 1, len(block))
         commanded_m = (position_counts / scale * radius)[:, columns]
-        intended_m = reader.ladder(times_s, 1)[:, 0] * radius[columns]
+        intended_m = reader.derivatives(times_s, 1)[:, 0] * radius[columns]
         largest_m = max(
             largest_m, float(np.linalg.norm(commanded_m - intended_m, axis=1).max(initial=0.0))
         )
@@ -203,7 +203,7 @@ def _spoiled(plan: Plan, spec: Spec, window: PathWindow, places: FloatArray) -> 
     tick_block = TickBlock(first_tick=0, counts=counts, operation=operations)
     simulated = simulate(replace(table, blocks=Stream.of([tick_block])), plan.machine)
     pace, tick_count = Pace(table.clock), len(counts)
-    events = (*pace.played(0, places[1:]), *pace.ended(tick_count, 1))
+    events = (*pace.played(0, places[1:]), *pace.after_end(tick_count, 1))
     recording = replace(
         simulated, blocks=Stream(_with_events, simulated.blocks, events, table.clock.name)
     )
@@ -230,7 +230,9 @@ def _spoiled(plan: Plan, spec: Spec, window: PathWindow, places: FloatArray) -> 
 
 def _gently(plan: Plan, hold: Hold) -> float:
     """Return the shortest duration of the braking of a hold, in ticks."""
-    return gentle_ticks(float(plan.machine.tick_clock.period_s)) if hold is Hold.GENTLY else 0.0
+    return (
+        gentle_hold_ticks(float(plan.machine.tick_clock.period_s)) if hold is Hold.GENTLY else 0.0
+    )
 
 
 def _held_places(
@@ -381,7 +383,7 @@ def hold_words(
         shaken = f"braking at full speed would shake the load ({criteria_words})"
         if hold is Hold.GENTLY:
             tick_s = float(plan.machine.tick_clock.period_s)
-            braking_s = gentle_ticks(tick_s) * tick_s
+            braking_s = gentle_hold_ticks(tick_s) * tick_s
             return f"{shaken}, so a hold brakes within {braking_s:.2g} s; STOP brakes at once"
         when = "at the next rest" if rests_within(plan) else "at the end, for there is no rest"
         return f"{shaken}, so a hold stands {when}"

@@ -95,7 +95,7 @@ class Executed:
 
     Parameters
     ----------
-    kept
+    open_run
         Its folder in the store.
     ended, text
         How it ended, and why.
@@ -103,7 +103,7 @@ class Executed:
         Time of the run at its latest step, s.
     """
 
-    kept: OpenRun
+    open_run: OpenRun
     ended: RunEnd
     text: str
     time_s: float
@@ -140,7 +140,7 @@ class JudgedRun:
 def execute(
     over: Link,
     plan: Plan,
-    kept: OpenRun,
+    open_run: OpenRun,
     manner: Manner,
     attended: Callable[[Desk], AbstractContextManager[Attending]],
 ) -> Executed:
@@ -150,7 +150,7 @@ def execute(
     ----------
     over
         The link, prepared.
-    kept
+    open_run
         The folder of the run.
     attended
         Returns who attends the run and gives commands to the desk.
@@ -160,7 +160,7 @@ def execute(
     LinkFaultError
         If the run could not be stored; the machine may have moved.
     """
-    with moved(kept), closed(Desk()) as desk, attended(desk) as keys, kept:
+    with moved(open_run), closed(Desk()) as desk, attended(desk) as keys, open_run:
         conduct = Conduct(
             pass_stops=manner.pass_stops,
             hold=manner.may.hold,
@@ -169,10 +169,10 @@ def execute(
             again=manner.again,
             confirmed=(lambda: True) if manner.confirmed else keys.confirmed,
         )
-        ended, text = over.run(plan, desk, kept, conduct)
+        ended, text = over.run(plan, desk, open_run, conduct)
     with suppress(StoreError):  # a locked index may be free when the verdict is stored
-        kept.over(ended.value, text)
-    return Executed(kept=kept, ended=ended, text=text, time_s=keys.time_s)
+        open_run.over(ended.value, text)
+    return Executed(open_run=open_run, ended=ended, text=text, time_s=keys.time_s)
 
 
 def judge_run(done: Executed, plan: Plan, spec: Spec, manner: Manner) -> JudgedRun:
@@ -185,21 +185,21 @@ def judge_run(done: Executed, plan: Plan, spec: Spec, manner: Manner) -> JudgedR
     LinkFaultError
         If the verdict could not be stored.
     """
-    kept, text, is_whole = done.kept, done.text, manner.again is None
-    earlier_runs = () if is_whole else joined_with(kept.trace)
-    recording = whole_recording(kept.trace)
+    open_run, text, is_whole = done.open_run, done.text, manner.again is None
+    earlier_runs = () if is_whole else joined_with(open_run.trace)
+    recording = whole_recording(open_run.trace)
     try:
         verdict = judge([recording], plan, spec)
     except RecordingError as error:
         if done.ended is RunEnd.COMPLETED and is_whole:
             raise
         text = text or f"NOT PROVEN: the rest of a job alone is not judged ({error.message})"
-        with moved(kept):
-            kept.unjudged(done.ended.value, text)
+        with moved(open_run):
+            open_run.unjudged(done.ended.value, text)
         return JudgedRun(recording=recording, verdict=None, text=text, content={})
     content = _content(verdict, plan, done, manner, earlier_runs)
-    with moved(kept):
-        warned = kept.judged(content, done.ended.value, text)
+    with moved(open_run):
+        warned = open_run.judged(content, done.ended.value, text)
     return JudgedRun(
         recording=recording, verdict=verdict, text=text, content=content, before=earlier_runs,
         warned=warned,
@@ -213,8 +213,8 @@ def _content(
     return {
         **verdict_json(verdict, plan),
         **manner.recorded,
-        "run": done.kept.path.name,
-        "trace": str(done.kept.trace),
+        "run": done.open_run.path.name,
+        "trace": str(done.open_run.trace),
         "ended": done.ended.value,
         "hold_deviation_m": finite(may.hold_deviation_m),
         "hold": may.hold.value,
@@ -229,7 +229,7 @@ def _content(
 
 
 @contextmanager
-def moved(kept: OpenRun) -> Iterator[None]:
+def moved(open_run: OpenRun) -> Iterator[None]:
     """Report a failure to store a run as a fault of the machine, since it may have moved.
 
     Errors of the executor from before any motion pass unchanged.
@@ -244,7 +244,7 @@ def moved(kept: OpenRun) -> Iterator[None]:
     except (OSError, StoreError) as error:
         why = error.message if isinstance(error, StoreError) else error.strerror or str(error)
         raise LinkFaultError(
-            f"the run could not be kept in {kept.path}: {why}",
+            f"the run could not be kept in {open_run.path}: {why}",
             remedy="The machine may have moved: look at it, then home it. Make room, or give "
             "another folder with --store.",
         ) from error
@@ -254,12 +254,12 @@ def fault_of(done: Executed, over: Link) -> LinkFaultError:
     """Return the error that tells the fault of a run, and where its recording is."""
     return LinkFaultError(
         done.text,
-        remedy=f"What was recorded is in {done.kept.path}. {over.after_fault} Look at the machine, "
-        "then home it.",
+        remedy=f"What was recorded is in {done.open_run.path}. {over.after_fault} Look at the "
+        "machine, then home it.",
     )
 
 
-class HoldAlone:
+class HoldTimeout:
     """Ends a hold after ``UNATTENDED_S``, where nobody is at the keyboard.
 
     Parameters
@@ -270,16 +270,16 @@ class HoldAlone:
 
     def __init__(self, desk: Desk) -> None:
         self._desk = desk
-        self._ends_s: float | None = None
+        self._deadline_s: float | None = None
 
     def step(self, executor: Running) -> None:
         """Stop a run that holds for longer than ``UNATTENDED_S``."""
         if executor.state is not State.HOLDING:
-            self._ends_s = None
+            self._deadline_s = None
             return
         now_s = clock_s()
-        self._ends_s = now_s + UNATTENDED_S if self._ends_s is None else self._ends_s
-        if now_s >= self._ends_s:
+        self._deadline_s = now_s + UNATTENDED_S if self._deadline_s is None else self._deadline_s
+        if now_s >= self._deadline_s:
             executor.stopped_by = "Threadline: nobody is at the keyboard to resume"
             self._desk.ask(Cause.STOP)
 
@@ -288,13 +288,13 @@ class Unattended:
     """Attends a run without an operator: it ends long holds, and confirms nothing."""
 
     def __init__(self, desk: Desk) -> None:
-        self._alone = HoldAlone(desk)
+        self._hold_timeout = HoldTimeout(desk)
         self.time_s = 0.0
 
     def step(self, executor: Running) -> None:
         """Note the time, and end a hold that lasts."""
         self.time_s = executor.time_s
-        self._alone.step(executor)
+        self._hold_timeout.step(executor)
 
     def confirmed(self) -> bool | None:
         """Confirm nothing: nobody looked at the machine."""

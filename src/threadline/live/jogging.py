@@ -73,7 +73,7 @@ class Stillness:
         return not self._within or tick >= min(since + self._wait, end + self._most)
 
 
-_KEPT = 4  # ticks kept behind the machine
+_PAST_TICKS = 4  # ticks kept behind the machine
 
 
 @dataclass(frozen=True, slots=True)
@@ -160,7 +160,7 @@ class JogAhead:
 
     def forget(self, tick: int) -> None:
         """Delete the states before ``tick``."""
-        forgotten_count = min(tick - _KEPT - self._first, len(self._states) - 1)
+        forgotten_count = min(tick - _PAST_TICKS - self._first, len(self._states) - 1)
         if forgotten_count > 0:
             self._states = self._states[forgotten_count:]
             self._first += forgotten_count

@@ -22,7 +22,7 @@ from threadline.live.grbl_program import notes_on, rest_of_program, written_prog
 from threadline.live.grbl_words import Program
 from threadline.live.hal_link import WHAT, HalLink, hal_link
 from threadline.live.kinds_run import run_kind_of
-from threadline.live.operated import Load, Operated
+from threadline.live.operated import Operated, PlanToSend
 from threadline.live.port import Port, check_address
 from threadline.live.sim_machine import SimFault
 from threadline.live.sim_process import IN_STEP, REAL_TIME, SLOWER, sim_link
@@ -190,15 +190,17 @@ class GrblLink:
             early_end := moved_to_begin(executor, machine, continued, conduct.confirmed)
         ):
             return early_end
-        load = Load(plan, program=self._program, rest=None if continued is None else continued.rest)
+        to_send = PlanToSend(
+            plan, program=self._program, rest=None if continued is None else continued.rest
+        )
         if self._approach and continued is None:
-            starts = zip(machine.axes, executor.starts(load).tolist(), strict=True)
+            starts = zip(machine.axes, executor.starts(to_send).tolist(), strict=True)
             ordered_starts = sorted(
                 starts, key=lambda axis_start: machine.axes[axis_start[0]].kind != "linear"
             )
             if early_end := moved_in_turn(executor, machine, ordered_starts, conduct.watch):
                 return early_end
-        executor.run(load, hold=Hold.AT_ONCE, no_override=conduct.no_override)
+        executor.run(to_send, hold=Hold.AT_ONCE, no_override=conduct.no_override)
         while not executor.over:
             executor.step()
             conduct.watch(executor)
@@ -360,27 +362,27 @@ class RowsOperated(Executor):
             remedy="Use the buttons of the panel.",
         )
 
-    def prepare(self, plan: Plan) -> Load:
-        """Return the plan as a load: its rows are sent."""
-        return Load(plan)
+    def prepare(self, plan: Plan) -> PlanToSend:
+        """Return the plan to send: its rows."""
+        return PlanToSend(plan)
 
-    def rest(self, load: Load, operation: int, *, at_rest: bool) -> Load:
-        """Return the rest of a load from an operation on."""
-        commands = load.plan.commands
+    def rest(self, to_send: PlanToSend, operation: int, *, at_rest: bool) -> PlanToSend:
+        """Return the rest of a plan from an operation on."""
+        commands = to_send.plan.commands
         rest = self._run_kind.rest(commands, self._machine, operation, at_rest=at_rest)
-        return replace(load, rest=rest)
+        return replace(to_send, rest=rest)
 
-    def refuse(self, load: Load) -> None:
+    def refuse(self, to_send: PlanToSend) -> None:
         """Refuse a plan that does not begin where the machine stands."""
-        self._run_kind.ahead(load.commands, self._machine).refuse_elsewhere(self.stands)
+        self._run_kind.ahead(to_send.commands, self._machine).refuse_elsewhere(self.position_counts)
 
-    def run(self, load: Load, *, hold: Hold, no_override: str = "") -> None:
+    def run(self, to_send: PlanToSend, *, hold: Hold, no_override: str = "") -> None:
         """Begin a run; see ``Executor.start``."""
         self.start(
-            load.commands,
+            to_send.commands,
             hold=hold,
-            loads_follow=run_kind_of(self._machine).loads_follow(load.plan),
-            from_rest=load.rest is not None,
+            loads_follow=run_kind_of(self._machine).loads_follow(to_send.plan),
+            from_rest=to_send.rest is not None,
             no_override=no_override,
         )
 

@@ -16,15 +16,15 @@ from threadline.live.states import Hold, State
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Load:
-    """A plan, prepared for sending.
+class PlanToSend:
+    """A plan with all that is sent to the machine for it.
 
     Parameters
     ----------
     plan
         The plan.
     sent
-        Files by name that were made for the machine, besides the plan's rows.
+        Files made for the machine besides the plan's rows, by name.
     notes
         Notes for the operator before it is sent.
     program
@@ -67,7 +67,7 @@ class Operated(Protocol):
         """Channels that the machine reports; empty until it is connected."""
 
     @property
-    def stands(self) -> IntArray:
+    def position_counts(self) -> IntArray:
         """Commanded position, (axes,) in counts; known once it is homed."""
 
     @property
@@ -141,16 +141,16 @@ class Operated(Protocol):
     def type_line(self, line: str) -> None:
         """Send a line that the operator typed, if there is a board."""
 
-    def prepare(self, plan: Plan) -> Load:
+    def prepare(self, plan: Plan) -> PlanToSend:
         """Prepare a plan; nothing is sent, and any thread may call it."""
 
-    def rest(self, load: Load, operation: int, *, at_rest: bool) -> Load:
-        """Return the rest of a load from an operation on; ``at_rest`` is as for ``continued``."""
+    def rest(self, to_send: PlanToSend, operation: int, *, at_rest: bool) -> PlanToSend:
+        """Return the rest of a plan from an operation on; ``at_rest`` is as for ``continued``."""
 
-    def refuse(self, load: Load) -> None:
-        """Refuse a load that does not begin where the machine stands."""
+    def refuse(self, to_send: PlanToSend) -> None:
+        """Refuse a plan that does not begin where the machine stands."""
 
-    def run(self, load: Load, *, hold: Hold, no_override: str = "") -> None:
+    def run(self, to_send: PlanToSend, *, hold: Hold, no_override: str = "") -> None:
         """Begin a run; ``no_override`` says why its feed cannot be overridden, if it cannot."""
 
     def override(self, percent: int) -> None:

@@ -90,7 +90,7 @@ class Pace:
         self._latest, self._step, self._since, self.place = place, step, 0, place
         return Event(tick=tick, kind="plan", operation=-1, name=name, value=time_s)
 
-    def ended(self, first: int, ticks: int) -> tuple[Event, ...]:
+    def after_end(self, first: int, ticks: int) -> tuple[Event, ...]:
         """Return the events of ticks from ``first`` on after the last row: the clock goes on.
 
         No event is needed if the rate was 1 or 0: a reader computes these ticks.

@@ -46,7 +46,7 @@ class SimRows(SimMachine):
         self._places = np.zeros(0)  # in the table, after each of them
         self._pace = Pace(self._machine.tick_clock)
         self._events: deque[Event] = deque()
-        self._wanted_until = 0  # tick from which on the held rows are the spare tail
+        self._tail_from = 0  # tick from which on the held rows are the spare tail
         self._position = np.zeros(axes, dtype=np.int64)
         self._last = False  # the held rows end with the last row of the run
 
@@ -77,7 +77,7 @@ class SimRows(SimMachine):
     @property
     def wanted(self) -> int:
         """Number of rows that it holds, without the braking tail."""
-        return max(0, self._wanted_until - self.tick)
+        return max(0, self._tail_from - self.tick)
 
     def _drop(self) -> None:
         self._hold_nothing()
@@ -93,12 +93,12 @@ class SimRows(SimMachine):
             self._position = np.zeros_like(self._position)
             self._session = self._new_session()
         self._pace = Pace(self._machine.tick_clock)
-        self._wanted_until, self._last = 0, False
+        self._tail_from, self._last = 0, False
         return ""
 
     def _take_refill(self, message: Message) -> str:
         """Replace the rows from a tick on; refuse rows that do not continue the earlier ones."""
-        first, wanted = int(message.head["first"]), int(message.head["wanted"])
+        first, row_count = int(message.head["first"]), int(message.head["wanted"])
         counts, operation = message.arrays["counts"], message.arrays["operation"]
         if why := self._unfit(first, message.arrays["at"]):
             return why
@@ -117,7 +117,7 @@ class SimRows(SimMachine):
         self._places = np.concatenate([places, np.full(len(rest_rows), last_place), new_places])
         self._events = deque(event for event in self._events if event.tick < first)
         self._events.extend(event_of(listed) for listed in message.head["events"])
-        self._wanted_until = first + wanted
+        self._tail_from = first + row_count
         self._last = bool(message.head["last"])
         return ""
 
@@ -161,7 +161,7 @@ class SimRows(SimMachine):
             first_tick=session.row, counts=counts, operation=operation, events=tuple(due_events)
         )
         self._position = self._position + counts.sum(axis=0)
-        if self.tick + n > self._wanted_until:
+        if self.tick + n > self._tail_from:
             self.starved = True
         block = session.advance(tick_block)
         return _telling(block, self._pace.played(first, places[: self.tick - first]))
@@ -176,7 +176,7 @@ class SimRows(SimMachine):
         block = session.advance(ticks=ticks)
         passed_ticks = self.tick - first
         if self._last:
-            return _telling(block, self._pace.ended(first, passed_ticks))
+            return _telling(block, self._pace.after_end(first, passed_ticks))
         return _telling(block, self._pace.stood(first, passed_ticks) if is_waiting else ())
 
 

@@ -35,7 +35,7 @@ class Hold(StrEnum):
     AT_ONCE = "at once"
     """The run brakes along the path as hard as the limits of the axes allow."""
     GENTLY = "gently"
-    """The run brakes along the path in about ``braking.GENTLE_S``, and starts again in that
+    """The run brakes along the path in about ``braking.GENTLE_HOLD_S``, and starts again in that
     time."""
     AT_REST = "at rest"
     """The run goes on to the next rest of the program, and stands there."""

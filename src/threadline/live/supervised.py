@@ -307,7 +307,7 @@ class MovedByHand(Protocol):
     stops: int
 
     @property
-    def stands(self) -> IntArray:
+    def position_counts(self) -> IntArray:
         """Commanded position, (axes,) in counts."""
 
     def stand(self, patience_s: float) -> None:
@@ -345,7 +345,7 @@ def moved_to_begin(
 def moved_in_turn(
     executor: MovedT,
     machine: Machine,
-    ways: Iterable[tuple[str, int]],
+    targets: Iterable[tuple[str, int]],
     watch: Callable[[MovedT], None] = lambda _: None,
 ) -> tuple[RunEnd, str] | None:
     """Move axes one after the other, at their manual feeds.
@@ -354,14 +354,14 @@ def moved_in_turn(
 
     Parameters
     ----------
-    ways
+    targets
         Axes in the order in which they move, each with its target in counts.
     watch
         Called after each step.
     """
     names = list(machine.axes)
-    for axis, target in ways:
-        if executor.stands[names.index(axis)] == target:
+    for axis, target in targets:
+        if executor.position_counts[names.index(axis)] == target:
             continue
         executor.move(axis, target)
         while not executor.over:

@@ -60,13 +60,13 @@ class MissingKey:
     form: str
 
     @property
-    def said(self) -> str:
+    def quoted_name(self) -> str:
         """Dotted name of the key, in quotes."""
         return repr(".".join(self.location))
 
-    def said_at(self, line: int) -> str:
+    def name_at(self, line: int) -> str:
         """Return the name with its example, and with the line of its table (0 for none)."""
-        return f"{self.said} ({f'line {line}, ' if line else ''}like {self.form})"
+        return f"{self.quoted_name} ({f'line {line}, ' if line else ''}like {self.form})"
 
 
 def missing_keys(
@@ -468,10 +468,10 @@ def _refuse(error: ValidationError, content: dict[str, Any], text: _Text) -> NoR
         raise MachineError(f"unknown key {dotted_key!r}", place=place, remedy=hint) from error
     missing = missing_keys(errors, content)
     if missing and first["type"] in MISSING:
-        message_text = ", ".join(key.said_at(text.line(*key.location)) for key in missing)
+        message_text = ", ".join(key.name_at(text.line(*key.location)) for key in missing)
         is_single = len(missing) == 1
         raise MachineError(
-            f"{missing[0].said} is missing"
+            f"{missing[0].quoted_name} is missing"
             if is_single
             else f"{len(missing)} keys are missing: {message_text}",
             place=text.place(*missing[0].location) if is_single else Place(text.file),
@@ -493,5 +493,5 @@ def _refuse(error: ValidationError, content: dict[str, Any], text: _Text) -> NoR
         extra = list(first["input"])[first["ctx"]["max_length"]]
         place = text.place(*location, extra)
     if missing:
-        remedy = f"{remedy} Also missing: {', '.join(key.said for key in missing)}.".strip()
+        remedy = f"{remedy} Also missing: {', '.join(key.quoted_name for key in missing)}.".strip()
     raise MachineError(message_text, place=place, remedy=remedy) from error

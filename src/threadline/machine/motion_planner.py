@@ -19,7 +19,7 @@ Deviation = Annotated[Quantity, Units(("m",), not_negative=True)]
 Speed = Annotated[Quantity, Units(("m/s",), not_negative=True)]
 Jump = Annotated[Quantity, Units(("m/s", "rad/s"), not_negative=True)]
 Acceleration = Annotated[Quantity, Units(("m/s^2",), positive=True)]
-AloneAcceleration = Annotated[Quantity, Units(("m/s^2", "rad/s^2"), positive=True)]
+AxisAcceleration = Annotated[Quantity, Units(("m/s^2", "rad/s^2"), positive=True)]
 Ring = Annotated[Quantity, Units(("",), positive=True, whole=True, most=4096)]
 
 
@@ -110,7 +110,7 @@ class KlipperPlanner(Planner):
     jump: dict[str, Jump] = Field(default_factory=dict)
     """Largest step of the speed at a corner, for each axis other than X, Y and Z, by letter
     (``INSTANTANEOUS_CORNER_VELOCITY``). Without it: 1 mm/s, 1 deg/s."""
-    alone: dict[str, AloneAcceleration] = Field(default_factory=dict)
+    alone: dict[str, AxisAcceleration] = Field(default_factory=dict)
     """Acceleration limit in moves without X, Y and Z, for each other axis, by letter (``accel`` of
     ``[manual_stepper]``). Without it: the acceleration of the axis."""
 

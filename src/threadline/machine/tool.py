@@ -366,10 +366,10 @@ class AxisArrays:
     @property
     def acceleration_limit(self) -> FloatArray:
         """(axes,) m/s^2 or rad/s^2: the lower of the limits of speeding up and braking."""
-        return np.minimum(*self.sides)
+        return np.minimum(*self.accelerations)
 
     @property
-    def sides(self) -> tuple[FloatArray, FloatArray]:
+    def accelerations(self) -> tuple[FloatArray, FloatArray]:
         """(axes,) m/s^2 or rad/s^2: the limits of speeding up, and of braking."""
         braking_limits = [axis.deceleration or axis.acceleration for axis in self.axes.values()]
         return self._column("acceleration"), np.array([limit.si for limit in braking_limits])

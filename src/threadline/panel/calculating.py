@@ -105,7 +105,7 @@ def figures(proof: Proof) -> dict[str, Any]:
     circuits, points = circuits_and_points(plan.job)
     ticks = plan.commands.tick_count()
     times_s, planned_at = _commanded(proof)
-    doubts = plausibility_warnings(plan.machine)
+    suspicions = plausibility_warnings(plan.machine)
     return {
         "program": plan.job.name,
         "passed": verdict.passed,
@@ -115,8 +115,8 @@ def figures(proof: Proof) -> dict[str, Any]:
         "circuits": circuits,
         "ticks_per_circuit": None if not circuits or ticks is None else round(ticks / circuits),
         "points": points,
-        "warnings": [one for one in warnings_of(proof) if one not in doubts],
-        "doubts": doubts,
+        "warnings": [one for one in warnings_of(proof) if one not in suspicions],
+        "doubts": suspicions,
         "criteria": criteria_json(verdict),
         "times_s": [round(float(t), 6) for t in times_s],
         "mandrel": None if (found := mandrel_of(plan.machine)) is None else found.model_dump(),

@@ -69,8 +69,8 @@ class MachineGuide:
         The machine, and the folder in which its guide is kept.
     """
 
-    def __init__(self, machine: Machine, kept: Path) -> None:
-        self._reference, self._folder = machine.reference, kept / "guide"
+    def __init__(self, machine: Machine, results: Path) -> None:
+        self._reference, self._folder = machine.reference, results / "guide"
         self._one_at_a_time = asyncio.Lock()
         self._found: dict[str, Any] | None = None
 
@@ -139,9 +139,11 @@ class Calculation:
         None without a product.
     """
 
-    def __init__(self, machine: Machine, spec_file: Path | None, folder: Path, kept: Path) -> None:
+    def __init__(
+        self, machine: Machine, spec_file: Path | None, folder: Path, results: Path
+    ) -> None:
         self._machine, self._spec_file, self._folder = machine, spec_file, folder
-        self._kept = kept
+        self._results = results
         self.proven: Proven | None = None
         self.share: float | None = None
         self.figures: Figures | None = None
@@ -226,7 +228,7 @@ class Calculation:
     async def _run(self, request: Calculate, tell: Callable[[Figures | str], None]) -> None:
         words = {
             **request.model_dump(exclude={"what"}),
-            "proof_file": str(self._kept / "proof.json"),
+            "proof_file": str(self._results / "proof.json"),
         }
         machine = self._machine
         content = {

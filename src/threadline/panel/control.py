@@ -105,7 +105,7 @@ class ControlLease:
         self._held: Lease | None = None
         self._until_s = 0.0
         self._asks: int | None = None
-        self._passes_s = 0.0  # instant at which control passes to the asking client
+        self._transfer_s = 0.0  # instant at which control passes to the asking client
 
     def holder(self, now_s: float) -> Lease | None:
         """Return the lease in force; None if it has run out, or nobody has control."""
@@ -122,7 +122,7 @@ class ControlLease:
 
     def passes_in_s(self, now_s: float) -> float:
         """Return the time after which control passes to the asking client, s; 0 without one."""
-        return max(self._passes_s - now_s, 0.0) if self._asks is not None else 0.0
+        return max(self._transfer_s - now_s, 0.0) if self._asks is not None else 0.0
 
     def take(self, client: int, now_s: float) -> Lease | None:
         """Give control to a client if nobody has it; else note its request, and return None.
@@ -133,7 +133,7 @@ class ControlLease:
         if held is None or held.client == client:
             return self._grant(client, now_s)
         if self._asks is None:
-            self._asks, self._passes_s = client, now_s + ASKED_S
+            self._asks, self._transfer_s = client, now_s + ASKED_S
         return None
 
     def give(self, client: int, now_s: float) -> Lease | None:
@@ -181,7 +181,7 @@ class ControlLease:
         """Pass control to the asking client if that is due; return the new lease, or None."""
         if self._asks is None:
             return None
-        if self.holder(now_s) is not None and now_s < self._passes_s:
+        if self.holder(now_s) is not None and now_s < self._transfer_s:
             return None
         return self._grant(self._asks, now_s)
 

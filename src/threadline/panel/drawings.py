@@ -30,7 +30,7 @@ from threadline.geometry.write_dxf import DrawnShape, Fill, ShapeKind, dxf_of, r
 MOST_SHAPES = 5000
 MOST_POINTS = 400_000
 """Most points of all shapes of a drawing together."""
-_MOST_TOLD = 20
+_MOST_WARNINGS = 20
 WRONG = 2  # exit status of the process for a drawing with an error
 _CHORDS = 64  # chords for a piece of curve that is neither a line nor an arc
 _CLOSED_M = 1e-6
@@ -131,7 +131,7 @@ def opened(name: str, content: bytes) -> dict[str, list[Any]]:
     remark_lines = _add_remarks(shapes, name, content) if name.lower().endswith(".dxf") else set()
     refusals = [refusal for refusal in drawing.refusals if refusal.line not in remark_lines]
     left_out = [f"{name}:{refusal.line}: {refusal.message}" for refusal in refusals]
-    return {"shapes": shapes, "left_out": left_out[:_MOST_TOLD]}
+    return {"shapes": shapes, "left_out": left_out[:_MOST_WARNINGS]}
 
 
 def _refuse_points(strokes: Sequence[Stroke], name: str) -> None:

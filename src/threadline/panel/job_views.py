@@ -93,18 +93,18 @@ class _Operations:
             count, latest = count + len(values), int(values[-1]) if len(values) else latest
         return cls(np.concatenate(operations), np.concatenate(begin_s), count * period_s)
 
-    def ends_s(self, wanted: IntArray) -> FloatArray:
-        """Return the instants, s, at which the operations ``wanted``, ascending, end."""
-        following = np.searchsorted(self.operation, wanted, side="right")
+    def ends_s(self, operations: IntArray) -> FloatArray:
+        """Return the instants, s, at which the operations ``operations``, ascending, end."""
+        following = np.searchsorted(self.operation, operations, side="right")
         return np.append(self.begin_s, self.end_s)[following]
 
 
-def _lines(job: Job, wanted: IntArray) -> tuple[IntArray, IntArray]:
-    """Return (n,) line and (n,) circuit, 0 for none, of the ascending operations ``wanted``.
+def _lines(job: Job, operations: IntArray) -> tuple[IntArray, IntArray]:
+    """Return (n,) line and (n,) circuit, 0 for none, of the ascending operations ``operations``.
 
     A circuit is a pass of an outermost subroutine call.
     """
-    lines_found, circuits = np.zeros((2, len(wanted)), np.int64)
+    lines_found, circuits = np.zeros((2, len(operations)), np.int64)
     first = circuits_entered = 0
     previous_source: Source | None = None
     for item in job.runs():
@@ -115,8 +115,8 @@ def _lines(job: Job, wanted: IntArray) -> tuple[IntArray, IntArray]:
         source = Source("", int(lines[0]), passes)
         circuits_entered += begins_circuit(previous_source, source)
         previous_source = Source("", int(lines[-1]), passes)
-        begin, end = np.searchsorted(wanted, (first, first + len(lines)))
-        lines_found[begin:end] = lines[wanted[begin:end] - first]
+        begin, end = np.searchsorted(operations, (first, first + len(lines)))
+        lines_found[begin:end] = lines[operations[begin:end] - first]
         circuits[begin:end] = circuits_entered if passes else 0
         first += len(lines)
     return lines_found, circuits
@@ -235,12 +235,12 @@ def _further_apart(places: FloatArray, least: float) -> NDArray[np.bool_]:
 
     Smaller turns come from rounded positions, and are no turns of the carriage.
     """
-    kept = np.zeros(len(places), dtype=np.bool_)
+    is_kept = np.zeros(len(places), dtype=np.bool_)
     last_kept = -np.inf
     for k, place in enumerate(places.tolist()):
-        kept[k] = abs(place - last_kept) > least
-        last_kept = place if kept[k] else last_kept
-    return kept
+        is_kept[k] = abs(place - last_kept) > least
+        last_kept = place if is_kept[k] else last_kept
+    return is_kept
 
 
 def _stitches(

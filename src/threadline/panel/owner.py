@@ -24,12 +24,12 @@ from threadline.live.operated import Operated
 from threadline.live.states import TRANSITIONS, Cause, Desk, State
 from threadline.live.wire import Connection, Message
 from threadline.machine import Machine
-from threadline.panel.kept_runs import KeptRuns, Prepared
+from threadline.panel.stored_runs import Prepared, StoredRuns
 from threadline.panel.welcoming import positions, readings, signals
 
-SAID_S = 0.25
+LINES_PERIOD_S = 0.25
 """Shortest time between two reports of the lines of a run, s."""
-_MOST_SAID = 40  # largest number of lines of a run in one report
+_MOST_LINES_AT_ONCE = 40  # largest number of lines of a run in one report
 
 
 class MoveSequence:
@@ -133,7 +133,7 @@ class Owner:
     """
 
     def __init__(
-        self, server: Connection, executor: Operated, machine: Machine, desk: Desk, runs: KeptRuns
+        self, server: Connection, executor: Operated, machine: Machine, desk: Desk, runs: StoredRuns
     ) -> None:
         self._server, self._machine, self._runs = server, machine, runs
         self._desk, self._executor = desk, executor
@@ -257,7 +257,7 @@ class Owner:
         elif what == "step":
             self._refuse_impossible(Cause.JOG)
             k = self._machine.axis_names.index(str(head["axis"]))
-            to = int(executor.stands[k]) + int(head["by"])
+            to = int(executor.position_counts[k]) + int(head["by"])
             self._moves.begin([(str(head["axis"]), to)], request.stops, clock_s())
         elif what == "console":
             self._refuse_console()
@@ -383,7 +383,10 @@ class Owner:
             why=self._runs.why,
             time_s=executor.time_s,
             axes=positions(
-                channels, executor.latest, machine, executor.stands if executor.homed else None
+                channels,
+                executor.latest,
+                machine,
+                executor.position_counts if executor.homed else None,
             ),
             signals=signals(channels, executor.latest),
             readings=readings(channels, executor.latest),
@@ -435,7 +438,7 @@ class BoardReports:
     def news(self, now_s: float) -> Iterator[tuple[str, dict[str, Any]]]:
         """Yield kind and content of each report that is due.
 
-        The lines of a program come in batches, each cut to its latest ``_MOST_SAID`` lines.
+        The lines of a program come in batches: the latest ``_MOST_LINES_AT_ONCE`` of each batch.
         """
         board = self._executor.board
         if board is None:
@@ -446,9 +449,9 @@ class BoardReports:
             yield "board", {"firmware": board.identity, "settings": rows}
         self._waiting += board.take()
         program_only = all(one.kind == "program" for one in self._waiting)
-        if not self._waiting or (program_only and now_s - self._sent_s < SAID_S):
+        if not self._waiting or (program_only and now_s - self._sent_s < LINES_PERIOD_S):
             return
-        left_out = max(len(self._waiting) - _MOST_SAID, 0) if program_only else 0
+        left_out = max(len(self._waiting) - _MOST_LINES_AT_ONCE, 0) if program_only else 0
         lines = [asdict(one) for one in self._waiting[left_out:]]
         self._waiting, self._sent_s = [], now_s
         yield "console", {"lines": lines, "left_out": left_out}

@@ -20,8 +20,8 @@ from threadline.live.guards import clock_s
 from threadline.live.links import at_link, operated
 from threadline.live.states import Desk
 from threadline.live.wire import Connection, Message
-from threadline.panel.kept_runs import KeptRuns, Owned
 from threadline.panel.owner import Owner
+from threadline.panel.stored_runs import Owned, StoredRuns
 
 _ENDS_S = 2.0
 """Longest time in s for an abandoned owner to release the link; its judging may take longer."""
@@ -194,7 +194,7 @@ def serve_owned(server: Connection, owned: Owned) -> None:
     with closing(Desk()) as desk:
         try:
             label = at_link(link, machine, owned.speed).label
-            runs = KeptRuns(owned, label, said)
+            runs = StoredRuns(owned, label, said)
             with operated(link, machine, owned.speed, desk, runs) as executor:
                 Owner(server, executor, machine, desk, runs).serve()
         except ThreadlineError as error:  # nothing answers on the link

@@ -28,7 +28,7 @@ BEAT_S = 0.05
 """Period of the states sent to clients, s."""
 _REST_BEATS = 2
 """Beats between two states if nothing has changed."""
-_PASSING: Any = {"seq": True, "age_s": True, "control": {"left_s"}}
+_VOLATILE: Any = {"seq": True, "age_s": True, "control": {"left_s"}}
 """Fields that differ in every state, and are ignored in a comparison of states."""
 _ALIVE_BEATS = 4
 """Beats between two signs of life to the owner: 0.2 s, a fifth of the silence that it allows."""
@@ -49,7 +49,7 @@ _CAUSES = {
 }  # fmt: skip
 _OF_PROVEN = frozenset({"start", "approach", "continue", "approach-rest", "start-rest"})
 _OF_REST = frozenset({"approach-rest", "start-rest"})
-_OF_REST_ALONE = frozenset({Cause.JOG, Cause.HOME})
+_NEED_REST = frozenset({Cause.JOG, Cause.HOME})
 """Causes of commands that need a machine at rest; switching off is possible at any time."""
 _BROKEN = frozenset({State.FAULT, State.DISABLED})
 """States in which the link may be started again."""
@@ -323,7 +323,7 @@ class Panel:
             what
             for what, cause in _CAUSES.items()
             if (state, cause) in TRANSITIONS
-            and (stands or cause not in _OF_REST_ALONE)
+            and (stands or cause not in _NEED_REST)
             and (free or cause is not Cause.START)
         ]
         if not run_kind_of(self.machine).by_hand:
@@ -439,7 +439,7 @@ class Panel:
             self._granted(self._control.pass_if_due(clock_s()))
             self._seq += 1
             state = self.state()
-            compared = state.model_dump(exclude=_PASSING)
+            compared = state.model_dump(exclude=_VOLATILE)
             if compared != shown or self._seq % _REST_BEATS == 0:
                 shown, text = compared, state.model_dump_json()
                 for client in self._clients.values():

@@ -75,13 +75,13 @@ def by_priority(
     question = Question(
         job=job, machine=machine, spec=spec, options=options, progress=share, trials=trials
     )
-    rung = fastest_job(question).best
-    if rung.found.best is None:
+    candidate = fastest_job(question).best
+    if candidate.found.best is None:
         raise OptionError(
-            f"{job.name} is out of specification at every feed: {rung.found.limited_by}",
+            f"{job.name} is out of specification at every feed: {candidate.found.limited_by}",
             remedy="Calculate it as programmed, and look at what fails.",
         )
-    return {"feed": f"{rung.found.best!r} m/s", "limits": f"{rung.share * 100.0!r} %"}
+    return {"feed": f"{candidate.found.best!r} m/s", "limits": f"{candidate.share * 100.0!r} %"}
 
 
 MOST_UPLOAD = 8 << 20

@@ -27,9 +27,9 @@ from threadline.panel.admission import HEADERS, Admission, AdmittingApp, Unknown
 from threadline.panel.calculation import MachineGuide, add_guide, add_winding
 from threadline.panel.control import Client, in_page_words
 from threadline.panel.drawn import TooLongError, add_drawing, whole_body
-from threadline.panel.kept_traces import in_process, kept_runs, report_of, temporary, trace_file
 from threadline.panel.panel import Panel
 from threadline.panel.programs import MOST_UPLOAD, ThereAlreadyError, program_names, take_program
+from threadline.panel.stored_traces import in_process, report_of, stored_runs, temporary, trace_file
 
 PAGE = Path(__file__).parent / "page"
 """Folder of the built page; ``make panel`` makes it."""
@@ -107,7 +107,7 @@ def _add_requests(app: FastAPI, panel: Panel, folder: Path) -> None:
         answer: Response = await following(request)
         answer.headers.update(HEADERS)
         if answer.status_code == 200 and request.url.path.startswith(f"/{_HASHED}"):
-            answer.headers["Cache-Control"] = _KEPT
+            answer.headers["Cache-Control"] = _CACHE_CONTROL
         return answer
 
     @app.get("/api/state")
@@ -177,7 +177,7 @@ def _add_runs(app: FastAPI, store: Path) -> None:
     @app.get("/api/runs", responses=_REFUSALS)
     async def runs() -> Response:
         try:
-            return JSONResponse(await asyncio.to_thread(kept_runs, store))
+            return JSONResponse(await asyncio.to_thread(stored_runs, store))
         except StoreError as error:
             return PlainTextResponse(f"{error}\n", 422)
 
@@ -270,7 +270,7 @@ class _BuiltPage(StaticFiles):
 
 _HASHED = "assets/"
 _VARIES = {"Vary": "Accept-Encoding"}
-_KEPT = "private, max-age=31536000, immutable"
+_CACHE_CONTROL = "private, max-age=31536000, immutable"
 
 
 def _add_page(app: FastAPI) -> None:

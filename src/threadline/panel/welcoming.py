@@ -31,7 +31,7 @@ def positions(
     channels: Iterable[Channel],
     latest: Mapping[str, float],
     machine: Machine,
-    stands: IntArray | None,
+    position_counts: IntArray | None,
 ) -> dict[str, list[float | None]]:
     """Return commanded, measured and load position of all axes, SI; None if not known.
 
@@ -43,18 +43,18 @@ def positions(
         Channels that the machine reports.
     latest
         The last sample of each, by its name.
-    machine, stands
+    machine, position_counts
         The machine, and its (axes,) commanded position in counts, for channels not reported yet;
         None if it is not homed.
     """
     by_axis: dict[str, list[float | None]] = {name: [None, None, None] for name in machine.axes}
-    if stands is not None:
+    if position_counts is not None:
         for name, position in zip(
-            machine.axes, (stands / machine.counts_per_unit).tolist(), strict=True
+            machine.axes, (position_counts / machine.counts_per_unit).tolist(), strict=True
         ):
             by_axis[name][0] = position
     for channel in channels:
-        if stands is None and channel.axis in machine.axes:
+        if position_counts is None and channel.axis in machine.axes:
             continue
         if channel.kind in _PLACES and channel.axis:
             row = by_axis.setdefault(channel.axis, [None, None, None])

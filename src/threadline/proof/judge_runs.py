@@ -35,7 +35,7 @@ from threadline.verdict import EachRun, Judge, Spec, needed_channels
 from threadline.verdict.pattern import raster_bytes
 from threadline.verdict.replayed import with_products
 
-_Alone = tuple[FloatArray, FloatArray | None]
+_OneMachine = tuple[FloatArray, FloatArray | None]
 """Parts of one machine, and (1, 5) parts of its product."""
 
 
@@ -110,7 +110,7 @@ class SerialJudge:
         )
         return answers(self, items, done, here=here)
 
-    def answer(self, item: _Alone, done: Done | None = None) -> EachRun:
+    def answer(self, item: _OneMachine, done: Done | None = None) -> EachRun:
         """Return the result of one machine with its product."""
         try:
             result = self._one(*item)
@@ -120,7 +120,7 @@ class SerialJudge:
             done(1)
         return result
 
-    def machines(self, _item: _Alone) -> int:
+    def machines(self, _item: _OneMachine) -> int:
         """Return 1: machines are judged one by one."""
         return 1
 
@@ -157,7 +157,7 @@ class SerialJudge:
 _TRIM_THRESHOLD, _MMAP_THRESHOLD, _ARENA_MAX = -1, -3, -8  # parameters of mallopt, malloc.h
 _LARGEST = 32 << 20
 """Size, in bytes, from which an array gets its own memory mapping; the largest value of glibc."""
-_KEPT = 512 << 20
+_FREE_MEMORY = 512 << 20
 
 
 def keep_freed_memory() -> None:
@@ -173,7 +173,7 @@ def keep_freed_memory() -> None:
     except (AttributeError, OSError, TypeError):
         return
     mallopt(_MMAP_THRESHOLD, _LARGEST)
-    mallopt(_TRIM_THRESHOLD, _KEPT)
+    mallopt(_TRIM_THRESHOLD, _FREE_MEMORY)
     mallopt(_ARENA_MAX, 1)  # threads reuse each other's freed memory
 
 
@@ -185,16 +185,16 @@ they share costs about as much as these variants."""
 _WOUND_BYTES = 256 << 20
 """Memory for the rasters of a part; each variant with a product has its own raster."""
 
-KEPT_S = 300.0
+CACHED_S = 300.0
 """Longest job that is kept in memory between judgements, whatever its number of ticks, in s."""
-KEPT_TICKS = 500_000
+CACHED_TICKS = 500_000
 """Most ticks of a longer job that is kept as well: a winding of an hour has ticks of 5 ms."""
 
 
-def kept_in_memory(plan: Plan) -> Plan:
+def cached_in_memory(plan: Plan) -> Plan:
     """Return a plan with job, path, trajectory and commands in memory, if the job is short."""
     tick_s = float(plan.commands.clock.period_s)
-    if plan.duration_s > max(KEPT_S, KEPT_TICKS * tick_s):
+    if plan.duration_s > max(CACHED_S, CACHED_TICKS * tick_s):
         return plan
     motion, table = plan.motion, tick_table(plan.commands)
     trajectory, programmed = motion.trajectory, motion.programmed
@@ -280,7 +280,7 @@ class RunsJudge:
         extremes: Mapping[str, FloatArray] | None = None,
     ) -> None:
         keep_freed_memory()
-        plan = kept_in_memory(plan)
+        plan = cached_in_memory(plan)
         self.plan, self._spec = plan, spec
         self.judge = Judge(plan, spec)
         self._table = tick_table(plan.commands)

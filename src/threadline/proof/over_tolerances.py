@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from threadline.proof.worst_search import WorstSearch
 
 VARIANT_SEED = 1994
-_AT_ONCE_ALONE = 20
+_AT_ONCE_SERIAL = 20
 _DOING = "searching the worst machine"
 _OF_WORST = "the worst machine searched"
 _MOST_SUSPECTS = 8
@@ -106,8 +106,8 @@ def over_tolerances(
     search.done = _counting(progress, len(within.singles) + search.most + machines)
     search.begin()
     drawn_count = 0
-    at_once = _AT_ONCE_ALONE if hasty and not within.together else machines
-    while drawn_count < machines and not search.ended:
+    at_once = _AT_ONCE_SERIAL if hasty and not within.together else machines
+    while drawn_count < machines and not search.is_over:
         indices = np.arange(drawn_count, min(drawn_count + at_once, machines))
         search.draw(within.with_products(drawn(plan.machine, VARIANT_SEED, indices), indices))
         drawn_count += len(indices)

@@ -103,7 +103,7 @@ class Trials:
         return by_option
 
     @property
-    def alone(self) -> Trials:
+    def without_others(self) -> Trials:
         """The same trials without the machines of ``others``."""
         return replace(self, ends=None, band=None)
 
@@ -380,7 +380,7 @@ def prove_plan(
         no dynamics.
     """
     judge = Judge(plan, spec) if judge is None else judge
-    if trials != trials.alone:
+    if trials != trials.without_others:
         return _with_others(plan, spec, progress, trials, actual, judge, suspects)
     if trials.machines:
         check_dynamics("the motion of another machine", plan.machine)
@@ -473,7 +473,7 @@ def _with_others(
     judge: Judge, suspects: Suspects | None,
 ) -> Proof:  # fmt: skip
     """Prove a plan, and judge it on the machines of ``trials.others``."""
-    proof = prove_plan(plan, spec, progress, trials.alone, actual, judge, suspects)
+    proof = prove_plan(plan, spec, progress, trials.without_others, actual, judge, suspects)
     verdict = proof.verdict
     for name, others in trials.others(plan.machine if actual is None else actual).items():
         verdicts = []

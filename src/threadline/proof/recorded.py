@@ -27,7 +27,7 @@ from threadline.verdict import Spec, Verdict, judge
 from threadline.verdict.deviation import measure_path_deviation
 from threadline.verdict.registry import MEASURES
 
-_ALWAYS_SAID = ("interpolation", "feed", "tolerance", "limits")
+_ALWAYS_RECORDED = ("interpolation", "feed", "tolerance", "limits")
 _PLANNED_WITH = tuple(recorded.key for _, recorded in RECORDED)
 
 
@@ -73,7 +73,7 @@ def judge_files(
     """
     _refuse_copies(recordings)
     recordings_read = [read_one(path) for path in recordings]
-    actual = words.given.get("actual")
+    actual = words.values.get("actual")
     given = _given(words, job, machine, recordings_read[0].origin)
     origin = _origin(recordings[0], recordings_read[0], given)
     settings = Path(origin["par"]) if "par" in origin else None
@@ -113,7 +113,7 @@ def _given(
         "job": None if job is None else str(job),
         "machine": _reference(machine),
         "par": words.text("par"),
-        "actual": _reference(words.given.get("actual")),
+        "actual": _reference(words.values.get("actual")),
     }
     for planning_option, file_form in RECORDED:
         text = words.text(planning_option.word)
@@ -205,7 +205,7 @@ def _refuse_other_options(path: Path, recorded: Mapping[str, str], chosen: dict[
         with_recorded = {name: text for name, text in chosen.items() if name != key}
         if key in recorded:
             with_recorded[key] = recorded[key]
-        elif key in _ALWAYS_SAID:
+        elif key in _ALWAYS_RECORDED:
             continue
         if options_from(with_recorded) != options_from(chosen):
             recorded_text, chosen_text = (texts.get(key, "none") for texts in (recorded, chosen))
@@ -243,7 +243,7 @@ def warnings_of(proof: Proof) -> list[str]:
 
 def warnings_of_all(proofs: Sequence[Proof]) -> list[str]:
     """Return the warnings of several proofs, without repetitions."""
-    return list(dict.fromkeys(said for proof in proofs for said in warnings_of(proof)))
+    return list(dict.fromkeys(warning for proof in proofs for warning in warnings_of(proof)))
 
 
 def tolerance_warnings(plan: Plan) -> list[str]:

@@ -73,12 +73,12 @@ class Words:
     ----------
     verb
         Name of the verb in the table of options.
-    given
+    values
         Value of every option of the verb, as given or by default.
     """
 
     verb: str
-    given: Mapping[str, Word]
+    values: Mapping[str, Word]
 
     @classmethod
     def of(cls, verb: str, door: Door, words: Mapping[str, Word]) -> Words:
@@ -102,12 +102,12 @@ class Words:
 
     def text(self, word: str) -> str | None:
         """Return the text of an option; None if it was not given."""
-        value = self.given.get(word)
+        value = self.values.get(word)
         return None if value is None else str(value)
 
     def flag(self, word: str) -> bool:
         """Return whether a flag was given."""
-        return bool(self.given.get(word))
+        return bool(self.values.get(word))
 
     def path(self, word: str) -> Path | None:
         """Return the file of an option; None if it was not given."""
@@ -124,20 +124,20 @@ class Words:
 
     def actual(self) -> Machine | None:
         """Return the machine that runs the plan; None if it is the planned one."""
-        other = self.given.get("actual")
+        other = self.values.get("actual")
         if other is None:
             return None
         return self.machine(other if isinstance(other, Machine) else str(other))
 
     def spec(self, machine: Machine) -> Spec:
         """Return the given specification, else the machine's own."""
-        given = self.given.get("spec")
+        given = self.values.get("spec")
         return given if isinstance(given, Spec) else load_spec(self.path("spec"), machine)
 
     def planning(self) -> dict[str, Word]:
         """Return the words of the planning options only."""
         known = {one.word for door in Door for one in options_for(self.verb, door, [Group.PLAN])}
-        return {word: value for word, value in self.given.items() if word in known}
+        return {word: value for word, value in self.values.items() if word in known}
 
     def options(self, job: str | Path | None = None, **changed: Word) -> Options:
         """Return the planning options; ``changed`` replaces words.
@@ -196,7 +196,7 @@ class Words:
         OptionError
             If the words ask for several levels, or a word cannot be read.
         """
-        words = {name: self.given.get(name) for name in _OF_LEVEL}
+        words = {name: self.values.get(name) for name in _OF_LEVEL}
         return trials_of(**{**words, **({} if ends is None else {"ends": ends})})
 
     @contextmanager
@@ -255,7 +255,7 @@ class Words:
 
         Defaults of that verb and the options of the level are left out.
         """
-        given = {**self.given, **changed}
+        given = {**self.values, **changed}
         typed: dict[str, str | Path | None] = {}
         for one in options_for(verb, groups=(Group.INPUT, Group.PLAN)):
             value = given.get(one.word)
@@ -441,9 +441,9 @@ def check_target(target: str, machine: Machine, options: Options) -> None:
 def level_option(trials: Trials) -> dict[str, str]:
     """Return the options, with values, that select the level of ``trials``; {} for the default."""
     others = {"--ends": trials.ends, "--band": trials.band}
-    if trials != trials.alone:
+    if trials != trials.without_others:
         shares = {name: f"{100.0 * n:.12g} %" for name, n in others.items() if n is not None}
-        return level_option(trials.alone) | shares
+        return level_option(trials.without_others) | shares
     if trials == REPEATED:
         return {}
     if trials.wanted_yield is not None:

@@ -33,9 +33,9 @@ from threadline.verdict.each_run import with_other_machines
 from threadline.verdict.replayed import product_of
 from threadline.verdict.types import REPEATED_RUNS, SearchedDays
 
-ROUNDS, CHANGED, KEPT = 8, 256, 32
+ROUNDS, CHANGED, WORST = 8, 256, 32
 """Number of rounds, number of changed runs per round, and number of worst runs that are changed."""
-ROUNDS_ALONE, CHANGED_ALONE, KEPT_ALONE = 3, 8, 4
+ROUNDS_SERIAL, CHANGED_SERIAL, WORST_SERIAL = 3, 8, 4
 """The same numbers for runs that are simulated one by one, a fifth of a second each."""
 ROUNDS_OF_MACHINES, CLIMBS = 16, 2
 """Number of rounds of a search that changes machine and day together, and number of such searches,
@@ -73,7 +73,7 @@ class _Search:
     changed
         Changes places a little.
     counts
-        As ``ROUNDS``, ``CHANGED`` and ``KEPT``.
+        As ``ROUNDS``, ``CHANGED`` and ``WORST``.
     shrink
         Ratio of the step of a round to the step before.
     climbs
@@ -120,7 +120,7 @@ def with_worst_day(plan: Plan, spec: Spec, verdict: Verdict) -> Verdict:
     if machine.without_dynamics:
         return verdict
     together = kind_of(machine).together(machine) and bool(machine.motors)
-    search = _days_together(plan, spec) if together else _days_alone(plan, spec)
+    search = _days_together(plan, spec) if together else _serial_days(plan, spec)
     return verdict if search is None else _with_found(plan, verdict, search, machines=False)
 
 
@@ -193,7 +193,7 @@ def with_worst_machine(
         first=first,
         judged=judged,
         changed=changed,
-        counts=(ROUNDS_OF_MACHINES, CHANGED, KEPT),
+        counts=(ROUNDS_OF_MACHINES, CHANGED, WORST),
         shrink=_SHRINK_OF_MACHINES,
         climbs=CLIMBS,
     )
@@ -224,13 +224,13 @@ def _days_together(plan: Plan, spec: Spec) -> _Search | None:
         first=places_of_days(drawn),
         judged=judged,
         changed=_moved_day,
-        counts=(ROUNDS, CHANGED, KEPT),
+        counts=(ROUNDS, CHANGED, WORST),
     )
 
 
-def _days_alone(plan: Plan, spec: Spec) -> _Search | None:
+def _serial_days(plan: Plan, spec: Spec) -> _Search | None:
     """Return the search for a machine whose days are simulated one by one, with few days."""
-    if _too_long(plan, REPEATED_RUNS + ROUNDS_ALONE * CHANGED_ALONE):
+    if _too_long(plan, REPEATED_RUNS + ROUNDS_SERIAL * CHANGED_SERIAL):
         return None
     machine, commands, judge = plan.machine, plan.commands, Judge(plan, spec)
     kind = kind_of(machine)
@@ -254,7 +254,7 @@ def _days_alone(plan: Plan, spec: Spec) -> _Search | None:
         first=corners.astype(np.float64),
         judged=judged,
         changed=_moved_day,
-        counts=(ROUNDS_ALONE, CHANGED_ALONE, KEPT_ALONE),
+        counts=(ROUNDS_SERIAL, CHANGED_SERIAL, WORST_SERIAL),
     )
 
 

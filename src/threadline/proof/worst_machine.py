@@ -75,15 +75,15 @@ class WithinTolerances:
         product = product_of(plan) if with_product else None
         self.replayed = product_of(plan) is not None
         self._wound = toleranced(product) if product is not None else np.zeros(0, dtype=np.int64)
-        self._many: RunsJudge | None = None
+        self._batch: RunsJudge | None = None
         if kind_of(plan.machine).together(plan.machine):
             extremes = numbers_at(plan.machine, self._fastest_corner())
-            self._many = RunsJudge(plan, spec, threads=threads, extremes=extremes)
-        runs_judge = self._many
+            self._batch = RunsJudge(plan, spec, threads=threads, extremes=extremes)
+        runs_judge = self._batch
         if runs_judge is None:
-            self._alone = SerialJudge(plan, spec)
+            self._serial = SerialJudge(plan, spec)
         else:
-            self._alone = SerialJudge(runs_judge.plan, spec, runs_judge.judge)
+            self._serial = SerialJudge(runs_judge.plan, spec, runs_judge.judge)
 
     def _fastest_corner(self) -> FloatArray:
         """Return (k, n) parts of k machines whose rates bound the rates of all drawn machines.
@@ -105,7 +105,7 @@ class WithinTolerances:
     @property
     def together(self) -> bool:
         """Whether machines are simulated in batches; otherwise each takes about a second."""
-        return self._many is not None
+        return self._batch is not None
 
     @property
     def ticks(self) -> int:
@@ -148,9 +148,9 @@ class WithinTolerances:
     def judged(self, parts: FloatArray, done: Done | None = None) -> EachRun:
         """Return the results of machines at (k, n) parts of their tolerances."""
         machine_parts, products = self.machine_parts(parts), self._products(parts)
-        if self._many is None:
-            return self._alone.judged(machine_parts, done, products)
-        return self._many.judged(
+        if self._batch is None:
+            return self._serial.judged(machine_parts, done, products)
+        return self._batch.judged(
             numbers_at(self.plan.machine, machine_parts), done=done, products=products
         )
 
@@ -162,14 +162,14 @@ class WithinTolerances:
         The machines of the next batches are begun before the first batch has ended.
         """
         split_batches = ((self.machine_parts(parts), self._products(parts)) for parts in batches)
-        if self._many is None:
-            return self._alone.judged_each(split_batches, done)
+        if self._batch is None:
+            return self._serial.judged_each(split_batches, done)
         machine = self.plan.machine
         variants = (
             Variants(numbers=numbers_at(machine, machine_parts), products=p)
             for machine_parts, p in split_batches
         )
-        return self._many.judged_each(variants, done)
+        return self._batch.judged_each(variants, done)
 
     def _products(self, parts: FloatArray) -> FloatArray | None:
         """Return the parts of the products of machines; None if no product varies."""
@@ -182,17 +182,17 @@ class WithinTolerances:
         """
         from threadline.machine.days import on_days  # only searches need it
 
-        assert self._many is not None
+        assert self._batch is not None
         machine_numbers = numbers_at(self.plan.machine, self.machine_parts(parts))
         numbers = on_days(self.plan.machine, machine_numbers, days)
         products = self._products(parts)
         if products is not None:
             products = np.repeat(products, len(days), axis=0)
-        return self._many.judged(numbers, np.tile(days.phases, (len(parts), 1)), products=products)
+        return self._batch.judged(numbers, np.tile(days.phases, (len(parts), 1)), products=products)
 
     def why_not(self, parts: FloatArray) -> str:
         """Return why a machine at (n,) parts has no result; empty if it has one."""
-        return self._alone.why_not(self.machine_parts(parts))
+        return self._serial.why_not(self.machine_parts(parts))
 
     def worst_at(
         self, parts: FloatArray, share: float, binding: str, *, of_corners: bool = False
@@ -206,7 +206,7 @@ class WithinTolerances:
         """
         products = self.product(parts[None])
         machine_parts = self.machine_parts(parts)
-        result = self._alone.judged(
+        result = self._serial.judged(
             machine_parts[None], products=products if len(self._wound) else None
         )
         shares, names = shares_of(result)

@@ -12,7 +12,7 @@ from threadline.machine.vary import Days
 from threadline.proof.worst_machine import WithinTolerances, row_shares, shares_of
 from threadline.verdict import EachRun
 
-SEARCHED, SEARCHED_ALONE = 1200, 60
+SEARCHED, SEARCHED_SERIAL = 1200, 60
 """Largest number of machines that a search tries after both ends of each number: if machines are
 simulated in batches, and if they are simulated one by one."""
 _REPLAYED_TICKS = 50_000_000
@@ -54,10 +54,10 @@ _Climb = tuple[int, int]
 def most_searched(within: WithinTolerances) -> int:
     """Return how many machines a search tries after both ends of each number."""
     if not within.together:
-        return SEARCHED_ALONE
+        return SEARCHED_SERIAL
     if not within.replayed:
         return SEARCHED
-    return min(max(_REPLAYED_TICKS // max(within.ticks, 1), SEARCHED_ALONE), SEARCHED)
+    return min(max(_REPLAYED_TICKS // max(within.ticks, 1), SEARCHED_SERIAL), SEARCHED)
 
 
 class WorstSearch:
@@ -150,7 +150,7 @@ class WorstSearch:
         return bool(self._bad.any())
 
     @property
-    def ended(self) -> bool:
+    def is_over(self) -> bool:
         """Whether a hasty search may end, because a machine is out of specification."""
         return self._hasty and self.failed
 
@@ -195,7 +195,7 @@ class WorstSearch:
         in batches, the worst machines that differ clearly are therefore judged on every day.
         """
         order = self._in_order()
-        if not self._within.together or self.ended:
+        if not self._within.together or self.is_over:
             return int(order[0])
         contender_count = max(self._scaled(_CONTENDERS), _LEAST_CONTENDERS)
         contenders = self._tell_apart(order.tolist(), contender_count, _TELLS, self._moving)
@@ -238,18 +238,18 @@ class WorstSearch:
     def begin(self) -> None:
         """Try the ends of each number, the corners by the slopes, and the drawn corners."""
         self._ends()
-        if self.ended:
+        if self.is_over:
             return
         assert self._slopes is not None
         order = self._worst_rows()
         self._try_some(self._slopes[order] * self._within.ends)
-        if self._within.together and not self.ended:
+        if self._within.together and not self.is_over:
             self._try_some(self._drawn_corners(order[:_ROWS]))
 
     def go_on(self) -> None:
         """Continue from all known machines, until none is worse or no more may be tried."""
         for step in (self._fitted_corners, self._climbs):
-            if self.ended:
+            if self.is_over:
                 return
             step()
 
@@ -329,31 +329,31 @@ class WorstSearch:
         """Climb from many machines, from the ends of climbs, and at last inside the tolerances."""
         queue, kick_count = self._starts(), 0
         climbs: list[_Climb] = []
-        ended: list[_Climb] = []
+        finished: list[_Climb] = []
         reserved = int(_INSIDE * self.most) if self._within.together else 0
-        while self._left > reserved and not self.ended:
+        while self._left > reserved and not self.is_over:
             while len(climbs) < _AT_ONCE and queue:
                 climbs.append(queue.pop(0))
             if (
                 len(climbs) < _AT_ONCE
-                and ended
+                and finished
                 and kick_count < _MOST_KICKS
                 and self._within.together
             ):
-                kicked = self._kicked(ended, _AT_ONCE - len(climbs))
+                kicked = self._kicked(finished, _AT_ONCE - len(climbs))
                 kick_count += len(kicked)
                 climbs += kicked
             if not climbs:
                 break
             with_idle = {climb for climb in climbs if self._idle.get(climb)}
-            climbs, ended_now = self._round(climbs, self._flips)
-            ended += [climb for climb in ended_now if climb not in with_idle]
+            climbs, finished_now = self._round(climbs, self._flips)
+            finished += [climb for climb in finished_now if climb not in with_idle]
             # A number without effect where a climb began may have one where the climb ends.
-            restarted = [climb for climb in ended_now if climb in with_idle]
+            restarted = [climb for climb in finished_now if climb in with_idle]
             self._idle.update(dict.fromkeys(restarted, frozenset()))
             climbs += restarted
-        inner = self._best([*ended, *climbs])[:_INNER]
-        while inner and self._left > 0 and not self.ended:
+        inner = self._best([*finished, *climbs])[:_INNER]
+        while inner and self._left > 0 and not self.is_over:
             inner, _ = self._round(inner, self._inside)
 
     def _starts(self) -> list[_Climb]:
@@ -385,9 +385,9 @@ class WorstSearch:
         distinct = list(dict.fromkeys(climbs))
         return sorted(distinct, key=lambda one: -float(_clipped(self._shares[one[0]])[one[1]]))
 
-    def _kicked(self, ended: Sequence[_Climb], count: int) -> list[_Climb]:
+    def _kicked(self, finished: Sequence[_Climb], count: int) -> list[_Climb]:
         """Return climbs that start at the worst ends of climbs, with a few numbers changed."""
-        best, parts = self._best(ended)[:_KICKED], []
+        best, parts = self._best(finished)[:_KICKED], []
         chosen = [best[int(k)] for k in self._random.integers(0, len(best), count)]
         for row, index in chosen:
             effective = np.array(
@@ -463,16 +463,16 @@ class WorstSearch:
         tried = iter(
             self._try_some(np.stack(all_parts)).tolist() if all_parts and self._left > 0 else []
         )
-        continued, ended = [], []
+        continued, finished = [], []
         for (row, index), better, summed in zip(climbs, better_sets, sums_by_climb, strict=True):
             end_indices = [*better, *(n for _, n in zip(summed, tried, strict=False))]
             if not better:
-                ended.append((row, index))
+                finished.append((row, index))
                 continue
             end_shares = np.round(_clipped(self._shares[row])[end_indices], 9)
             continued.append((row, end_indices[int(np.argmax(end_shares))]))
             self._idle.setdefault(continued[-1], self._idle[row, index])
-        return list(dict.fromkeys(continued)), ended
+        return list(dict.fromkeys(continued)), finished
 
     def _without_effect(self, start: int, gains: Sequence[tuple[float, int]]) -> frozenset[int]:
         """Return the numbers whose change at machine ``start`` had no effect on the criterion."""

@@ -157,11 +157,11 @@ def whole_fraction(text: object) -> Fraction:
     return Fraction(str(text))
 
 
-def of_another(what: str, named: object, wanted: str, path: Path) -> RecordingError:
+def of_another(what: str, named: object, expected: str, path: Path) -> RecordingError:
     """Return the refusal of a file that names another job, machine file or version."""
     return RecordingError(
         f"the file was written for another {what}: it names {str(named)[:16]}, "
-        f"this one is {wanted[:16]}",
+        f"this one is {expected[:16]}",
         place=Place(str(path)),
         remedy=f"Name the {what} that it was written for.",
     )

@@ -100,8 +100,8 @@ class Parser:
         """Return the kind of the next token; empty at the end."""
         return "" if self.done else self._tokens[self._at].kind
 
-    def take(self, *wanted: str) -> str:
-        """Take the next word, in its own letters; it must be one of ``wanted``, if any are given.
+    def take(self, *allowed: str) -> str:
+        """Take the next word, in its own letters; it must be one of ``allowed``, if any are given.
 
         Raises
         ------
@@ -111,8 +111,8 @@ class Parser:
         if self.done:
             raise ScanError("it ends too early: the file was cut off", self.line)
         token = self._tokens[self._at]
-        if wanted and token.text.lower() not in wanted:
-            expected = " or ".join(word.upper() for word in wanted)
+        if allowed and token.text.lower() not in allowed:
+            expected = " or ".join(word.upper() for word in allowed)
             raise ScanError(f"{token.text[:40]!r} stands where {expected} is expected", token.line)
         self._at += 1
         return token.text

@@ -198,7 +198,7 @@ def write_cam(study: CamStudy, tables: Sequence[Table], folder: Path) -> Path:
     with figure_style():
         document = Document(
             title=f"Cam {study.cam.file}",
-            subtitle="; ".join(study.rise.said),
+            subtitle="; ".join(study.rise.sentences),
             verdicts=(),
             warnings=study.warnings,
             tables=tables,

@@ -317,8 +317,8 @@ def stitch_rows(plan: Plan) -> list[list[str]]:
         ],
         [
             "Each stitch alone",
-            f"{stitched.alone_s:.4g} s, if the spindle had no inertia and earlier stitches left no "
-            "swing; this is not a plan",
+            f"{stitched.independent_s:.4g} s, if the spindle had no inertia and earlier stitches "
+            "left no swing; this is not a plan",
         ],
     ]
 
@@ -352,7 +352,7 @@ def _for_words(plan: Plan) -> str:
 
 def _speed_words(plan: Plan) -> str:
     """Return the text about the choice of the shaft speed."""
-    if plan.stitched.given:
+    if plan.stitched.speed_requested:
         return "one for the whole design, as was given"
     if plan.stitched.constant:
         return (

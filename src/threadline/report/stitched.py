@@ -331,7 +331,7 @@ def _worst_table(proof: Proof, drawn: DrawnRun) -> Table:
     plan = proof.plan
     run = StitchRun(drawn.recording, plan)
     turns, residual = plan.stitched.turns, run.sewn.residual_m
-    alone_s = plan.stitched.pace.needed_turns_s(turns.moves)
+    needed_s = plan.stitched.pace.needed_turns_s(turns.moves)
     largest = np.nan_to_num(np.nanmax(residual, axis=1), nan=-1.0)
     rows = []
     for stitch in np.argsort(-largest)[:_WORST].tolist():
@@ -347,7 +347,7 @@ def _worst_table(proof: Proof, drawn: DrawnRun) -> Table:
                 move_texts,
                 f"{largest[stitch] * 1e3:.4f}",
                 f"{_MINUTE / turns.turn_s[turn]:.4g}",
-                f"{_MINUTE / alone_s[turn]:.4g}",
+                f"{_MINUTE / needed_s[turn]:.4g}",
             ]
         )
     header = ["stitch", "record", "move mm", "residual mm", "stitches/min", "alone it can at"]

@@ -211,7 +211,7 @@ def collect(proof: Proof, around_s: Sequence[float] = ()) -> Traces:
     stride = 1 if samples <= MAX_SAMPLES else int(np.ceil(14 * len(axes) * samples / MAX_SAMPLES))
     blocks = judged_blocks(recording, axes, 0, None)
     parts = list(
-        _kept_samples(blocks, plan.motion.trajectory, setting.interval_s, stride, around_times_s)
+        _samples_drawn(blocks, plan.motion.trajectory, setting.interval_s, stride, around_times_s)
     )
     number, time_s, commanded, actual, velocity, acceleration, planned = (
         np.concatenate([part[column] for part in parts]) for column in range(7)
@@ -236,7 +236,7 @@ def collect(proof: Proof, around_s: Sequence[float] = ()) -> Traces:
     )
 
 
-def _kept_samples(
+def _samples_drawn(
     blocks: Iterator[Block],
     trajectory: Trajectory,
     interval_s: float,
@@ -267,7 +267,7 @@ def _kept_samples(
         velocity = np.diff(with_previous, axis=0)[1:] / interval_s
         acceleration = np.diff(with_previous, 2, axis=0) / interval_s**2
         number = block.first + np.arange(len(actual))
-        planned = reader.ladder(block.due_s, 3)
+        planned = reader.derivatives(block.due_s, 3)
         reader.drop(float(block.due_s[0]))
         if block.slow is not None:
             scale_to_run_rate(planned, block.due_s - block.time_s, interval_s)

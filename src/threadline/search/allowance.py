@@ -5,8 +5,8 @@ is the contour allowance: the largest distance of the loads from the path. Encod
 levels and the spread between runs add to the contour error, and only a proof shows how much they
 add. So the search proves a few plans: it raises the allowance until a plan fails, and lowers it
 until a plan passes. Near the limit a plan can pass by chance. So a slightly smaller allowance is
-proved, too. If the plan with the smaller allowance fails, the first plan is marked as alone, and a
-slower plan is the answer.
+proved, too. If the plan with the smaller allowance fails, the first plan is marked as isolated, and
+a slower plan is the answer.
 With feed-forward the loads follow the motion itself, and position-controlled drives have no loop to
 lag. There the search lowers the share of the acceleration and jerk limits until a plan passes.
 """
@@ -32,7 +32,7 @@ from threadline.verdict import Verdict
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Rung:
+class Candidate:
     """The result of one trial: the fastest plan at one share of the limits, or one allowance.
 
     Parameters
@@ -57,9 +57,9 @@ class Rung:
     options: Options | None = None
 
     @property
-    def alone(self) -> bool:
+    def isolated(self) -> bool:
         """Whether the plans with neighbouring allowances are out of specification."""
-        return self.found.fastest is not None and self.found.fastest.alone
+        return self.found.fastest is not None and self.found.fastest.isolated
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -94,8 +94,8 @@ class FastestJob:
         the same unit, with which the job takes at most 0.1 % longer. Otherwise None.
     """
 
-    best: Rung
-    rungs: tuple[Rung, ...]
+    best: Candidate
+    candidates: tuple[Candidate, ...]
     bounds: tuple[Bound, ...] = ()
     left_out: tuple[float, ...] = ()
     moves: int = 0
@@ -121,7 +121,7 @@ _AIM = 0.97  # share of the limit that the next allowance aims at
 _LEAST_GROWTH, _MOST_GROWTH = 1.06, 1.5
 _LEAST_FALL = 0.4
 _BESIDE = 0.995  # factor from an allowance to its neighbour, which must pass as well
-_MOST_ALONE = 3
+_MOST_NEIGHBOURS = 3
 _PLACED = ("contour_error", "turning_point_error", "progress_error")
 
 
@@ -142,11 +142,11 @@ def fastest_allowed(question: Question) -> FastestJob:
     options = replace(question.options, feed=Feed(FeedMode.FASTEST_AXIS, top_feed_m_s))
     by_contour = options.follows_contour and not machine.takes_positions  # no loop lags
 
-    def proved(amount: float) -> Rung:
+    def proved(amount: float) -> Candidate:
         if until is not None:
             until.check()
         if question.progress is not None:
-            question.progress("proving", len(rungs) / _MOST_PROOFS)
+            question.progress("proving", len(candidates) / _MOST_PROOFS)
         trial_options = (
             replace(options, contour_m=amount)
             if by_contour
@@ -159,42 +159,52 @@ def fastest_allowed(question: Question) -> FastestJob:
             # limit.
             if by_contour or error.quantity == "travel":
                 raise
-            return rung_of(trial_options, top_feed_m_s, beyond(error, machine), None, by_contour)
+            return candidate_of(
+                trial_options, top_feed_m_s, beyond(error, machine), None, by_contour
+            )
         verdict = question.searched(plan, question.judged(plan))
-        return rung_of(trial_options, top_feed_m_s, verdict, plan.duration_s, by_contour)
+        return candidate_of(trial_options, top_feed_m_s, verdict, plan.duration_s, by_contour)
 
-    rungs: dict[float, Rung] = {}
+    candidates: dict[float, Candidate] = {}
     next_amount = _next_contour if by_contour else _next_share
     amount: float | None = options.timing.contour_m if by_contour else options.limit_share
-    with until_deadline(until, lambda: rungs):
+    with until_deadline(until, lambda: candidates):
         while amount is not None:
-            rungs[amount] = proved(amount)
-            alone = by_contour and options.contour_m is not None
-            amount = None if alone or len(rungs) >= _MOST_PROOFS else next_amount(rungs)
+            candidates[amount] = proved(amount)
+            is_single = by_contour and options.contour_m is not None
+            amount = (
+                None if is_single or len(candidates) >= _MOST_PROOFS else next_amount(candidates)
+            )
         if by_contour and options.contour_m is None:
-            _look_beside(rungs, proved)
+            _look_beside(candidates, proved)
     return FastestJob(
-        best=_best(rungs, ALLOWED if by_contour else LIMITS),
-        rungs=tuple(rungs[amount] for amount in sorted(rungs, reverse=True)),
+        best=_best(candidates, ALLOWED if by_contour else LIMITS),
+        candidates=tuple(candidates[amount] for amount in sorted(candidates, reverse=True)),
         bounds=bounds_of(job, machine, options),
         ended="" if until is None else until.ended,
     )
 
 
-def _look_beside(rungs: dict[float, Rung], proved: Callable[[float], Rung]) -> None:
+def _look_beside(candidates: dict[float, Candidate], proved: Callable[[float], Candidate]) -> None:
     """Prove neighbours of the fastest plans until plan and neighbour pass; mark isolated plans."""
-    for _ in range(_MOST_ALONE):
-        passing = [c for c, rung in rungs.items() if rung.duration_s is not None and not rung.alone]
+    for _ in range(_MOST_NEIGHBOURS):
+        passing = [
+            c
+            for c, candidate in candidates.items()
+            if candidate.duration_s is not None and not candidate.isolated
+        ]
         if not passing:
             return
-        best_m = min(passing, key=lambda amount: rungs[amount].duration_s or math.inf)
+        best_m = min(passing, key=lambda amount: candidates[amount].duration_s or math.inf)
         neighbour_m = _short(best_m * _BESIDE)
-        rungs[neighbour_m] = rungs[neighbour_m] if neighbour_m in rungs else proved(neighbour_m)
-        if math.isinf(best_m) or rungs[neighbour_m].duration_s is not None:
+        candidates[neighbour_m] = (
+            candidates[neighbour_m] if neighbour_m in candidates else proved(neighbour_m)
+        )
+        if math.isinf(best_m) or candidates[neighbour_m].duration_s is not None:
             return
-        found = rungs[best_m].found
-        isolated = tuple(replace(interval, alone=True) for interval in found.intervals)
-        rungs[best_m] = replace(rungs[best_m], found=replace(found, intervals=isolated))
+        found = candidates[best_m].found
+        isolated = tuple(replace(interval, isolated=True) for interval in found.intervals)
+        candidates[best_m] = replace(candidates[best_m], found=replace(found, intervals=isolated))
 
 
 def _short(allowance_m: float) -> float:
@@ -202,22 +212,24 @@ def _short(allowance_m: float) -> float:
     return float(f"{allowance_m:.5g}")
 
 
-def options_at(question: Question, rung: Rung) -> Options:
-    """Return the planning options with which ``fastest_allowed`` proved a rung."""
-    if rung.options is not None:
-        return rung.options
+def options_at(question: Question, candidate: Candidate) -> Options:
+    """Return the planning options with which ``fastest_allowed`` proved a candidate."""
+    if candidate.options is not None:
+        return candidate.options
     top_feed_m_s = feed_range_m_s(question.machine)[1] if question.high is None else question.high
     return replace(
         question.options,
         feed=Feed(FeedMode.FASTEST_AXIS, top_feed_m_s),
-        limit_share=rung.share,
-        contour_m=question.options.contour_m if rung.contour_m is None else rung.contour_m,
+        limit_share=candidate.share,
+        contour_m=question.options.contour_m
+        if candidate.contour_m is None
+        else candidate.contour_m,
     )
 
 
-def rung_of(
+def candidate_of(
     options: Options, feed_m_s: float, verdict: Verdict, duration_s: float | None, by_contour: bool
-) -> Rung:
+) -> Candidate:
     """Return the result of one plan."""
     passed = verdict.passed
     found = Fastest(
@@ -226,7 +238,7 @@ def rung_of(
         verdict=verdict,
         tried=1,
     )
-    return Rung(
+    return Candidate(
         share=options.limit_share,
         found=found,
         duration_s=duration_s if passed else None,
@@ -234,55 +246,60 @@ def rung_of(
     )
 
 
-def _best(rungs: Mapping[float, Rung], default_limit: str) -> Rung:
+def _best(candidates: Mapping[float, Candidate], default_limit: str) -> Candidate:
     """Return the passing trial with the shortest job, or else the trial closest to passing."""
-    passed = [amount for amount, rung in rungs.items() if rung.duration_s is not None]
+    passed = [
+        amount for amount, candidate in candidates.items() if candidate.duration_s is not None
+    ]
     if not passed:
-        return min(rungs.values(), key=lambda rung: closeness(rung.found.verdict))
+        return min(candidates.values(), key=lambda candidate: closeness(candidate.found.verdict))
     best_amount = min(
-        passed, key=lambda amount: (rungs[amount].alone, rungs[amount].duration_s or math.inf)
+        passed,
+        key=lambda amount: (candidates[amount].isolated, candidates[amount].duration_s or math.inf),
     )
     failed_above = [
-        amount for amount, rung in rungs.items() if rung.duration_s is None and amount > best_amount
+        amount
+        for amount, candidate in candidates.items()
+        if candidate.duration_s is None and amount > best_amount
     ]
-    limited_by = rungs[min(failed_above)].found.limited_by if failed_above else default_limit
+    limited_by = candidates[min(failed_above)].found.limited_by if failed_above else default_limit
     return replace(
-        rungs[best_amount], found=replace(rungs[best_amount].found, limited_by=limited_by)
+        candidates[best_amount], found=replace(candidates[best_amount].found, limited_by=limited_by)
     )
 
 
-def _next_contour(rungs: Mapping[float, Rung]) -> float | None:
+def _next_contour(candidates: Mapping[float, Candidate]) -> float | None:
     """Return the next allowance to try; None where another trial would gain little."""
-    passed = [c for c, rung in rungs.items() if rung.duration_s is not None]
+    passed = [c for c, candidate in candidates.items() if candidate.duration_s is not None]
     passed_m = max(passed, default=0.0)
-    failed_m = min((c for c in rungs if c not in passed and c > passed_m), default=math.inf)
+    failed_m = min((c for c in candidates if c not in passed and c > passed_m), default=math.inf)
     if math.isinf(passed_m) or failed_m <= _CLOSE * passed_m or failed_m <= LEAST_CONTOUR_M:
         return None
     if not passed:
-        excess = worst_criterion(rungs[failed_m].found.verdict)[1]
+        excess = worst_criterion(candidates[failed_m].found.verdict)[1]
         return _short(max(failed_m * max(_AIM / excess, _LEAST_FALL), LEAST_CONTOUR_M))
     if math.isinf(failed_m):
         return _short(
-            passed_m * min(max(_AIM / _used(rungs[passed_m]), _LEAST_GROWTH), _MOST_GROWTH)
+            passed_m * min(max(_AIM / _used(candidates[passed_m]), _LEAST_GROWTH), _MOST_GROWTH)
         )
     return _short(math.sqrt(passed_m * failed_m))
 
 
-def _used(rung: Rung) -> float:
+def _used(candidate: Candidate) -> float:
     """Return the largest used share of the limits on load positions."""
     return max(
         (
             abs(result.measured) / result.limit
-            for result in rung.found.verdict.results
+            for result in candidate.found.verdict.results
             if result.name in _PLACED and result.limit and result.measured is not None
         ),
         default=1.0 / _MOST_GROWTH,
     )
 
 
-def _next_share(rungs: Mapping[float, Rung]) -> float | None:
+def _next_share(candidates: Mapping[float, Candidate]) -> float | None:
     """Return the next smaller share of the limits; None if a share has passed, or none is left."""
-    least = min(rungs)
-    if rungs[least].duration_s is not None:
+    least = min(candidates)
+    if candidates[least].duration_s is not None:
         return None
     return next((share for share in _SHARES if share < least), None)

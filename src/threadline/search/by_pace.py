@@ -253,7 +253,7 @@ def _feed(question: Question) -> Answer:
     return Answer(
         question=question, best=best.found.best, unit=feed_unit(by), duration_s=best.duration_s,
         intervals=best.found.intervals, limited_by=best.found.limited_by,
-        verdict=best.found.verdict, tried=sum(rung.found.tried for rung in found.rungs),
+        verdict=best.found.verdict, tried=sum(one.found.tried for one in found.candidates),
         searched={FeedMode.F_WORD: F_WORDS, FeedMode.OVERRIDE: OVERRIDE}.get(by, FEED),
         of=found, words=job_words(found), plan=plan,
     )  # fmt: skip
@@ -329,7 +329,7 @@ def _switchings(question: Question) -> Answer:
     robust = None if question.band is None else robust_cycle(question, question.band)
     best_s = found.cycle_s
     return Answer(
-        question=question, best=best_s, unit="s", duration_s=best_s, intervals=_alone(best_s),
+        question=question, best=best_s, unit="s", duration_s=best_s, intervals=_one_pace(best_s),
         limited_by=found.limited_by, verdict=found.proof.verdict, tried=found.tried,
         searched=CYCLE, of=found, words=cycle_words(question, found), over_band=robust,
         plan=lambda: found.proof.plan if robust is None else robust.proof.plan,
@@ -339,12 +339,12 @@ def _switchings(question: Question) -> Answer:
 def _switchings_again(_asked: Question, _answer: Answer) -> Callable[[Question], BestPace]:
     def again(other_question: Question) -> BestPace:
         found = fastest_cycle(other_question)
-        return found.cycle_s, _alone(found.cycle_s), found.limited_by
+        return found.cycle_s, _one_pace(found.cycle_s), found.limited_by
 
     return again
 
 
-def _alone(cycle_s: float | None) -> tuple[Interval, ...]:
+def _one_pace(cycle_s: float | None) -> tuple[Interval, ...]:
     return () if cycle_s is None else (Interval(low=cycle_s, high=cycle_s),)
 
 
@@ -407,10 +407,12 @@ def _certainty(found: Answer, search: Search) -> Certainty | None:
     options = question.options
     if options.robust_share is not None:
         options = replace(options, robust_share=0.0)
-    alone_answer = search.find(replace(question, options=options, trials=question.trials.alone))
-    by_duration = found.duration_s is not None or alone_answer.duration_s is not None
+    file_answer = search.find(
+        replace(question, options=options, trials=question.trials.without_others)
+    )
+    by_duration = found.duration_s is not None or file_answer.duration_s is not None
     sure_value, best_value = (
-        one.duration_s if by_duration else one.best for one in (found, alone_answer)
+        one.duration_s if by_duration else one.best for one in (found, file_answer)
     )
     loss_share = None
     if sure_value is not None and best_value is not None:

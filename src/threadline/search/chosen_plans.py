@@ -23,7 +23,7 @@ from threadline.motion.path import programmed_path
 from threadline.proof.option_words import Reserve, parse_width_s
 from threadline.proof.options import Options
 from threadline.proof.pipeline import plan_job, try_plan
-from threadline.search.allowance import LIMITS, FastestJob, Rung, rung_of
+from threadline.search.allowance import LIMITS, Candidate, FastestJob, candidate_of
 from threadline.search.choices import (
     BUDGET,
     LIMIT_SHARE,
@@ -72,7 +72,7 @@ class Choosing:
         Options of the plans without the choices.
     most, tried
         Largest number of places that the search tries, and number that it has tried.
-    rungs
+    candidates
         Every judged plan, and every plan beyond a limit of the machine, in order.
     begun_s, started_s
         Processor time and clock at the beginning.
@@ -84,7 +84,7 @@ class Choosing:
     knobs: tuple[Knob, ...]
     options: Options
     most: int
-    rungs: list[Rung] = field(default_factory=list)
+    candidates: list[Candidate] = field(default_factory=list)
     narrower: dict[int, float] = field(default_factory=dict)
     tried: int = 0
     begun_s: float = field(default_factory=time.process_time)
@@ -93,7 +93,7 @@ class Choosing:
     @property
     def best_s(self) -> float:
         """Duration of the shortest plan in specification."""
-        return min((one.duration_s for one in self.rungs if one.duration_s), default=math.inf)
+        return min((one.duration_s for one in self.candidates if one.duration_s), default=math.inf)
 
     def attempt(self, places: tuple[float, ...], below_s: float) -> Tried:
         """Plan and judge; lower the tolerance at single corners whose error is above its limit.
@@ -175,7 +175,7 @@ class Choosing:
         verdict = question.judged(plan)
         if not verdict.passed or not 1 < question.trials.repeats < _CONFIRMED:
             return verdict
-        more_trials = replace(question.trials.alone, repeats=_CONFIRMED)
+        more_trials = replace(question.trials.without_others, repeats=_CONFIRMED)
         confirmed = try_plan(plan, question.spec, more_trials, question.actual).verdict
         return question.searched(plan, verdict) if confirmed.passed else confirmed
 
@@ -183,8 +183,8 @@ class Choosing:
         feed = options.feed
         assert feed is not None
         contour = options.follows_contour and not self.question.machine.takes_positions
-        rung = rung_of(options, feed.value, verdict, duration_s, contour)
-        self.rungs.append(replace(rung, options=options))
+        candidate = candidate_of(options, feed.value, verdict, duration_s, contour)
+        self.candidates.append(replace(candidate, options=options))
 
 
 def fastest_chosen(question: Question) -> FastestJob:
@@ -199,7 +199,7 @@ def fastest_chosen(question: Question) -> FastestJob:
     options = replace(question.options, feed=Feed(FeedMode.FASTEST_AXIS, top_feed_m_s))
     tick_s = float(machine.tick_clock.period_s)
     searches: list[Choosing] = []
-    with until_deadline(until, lambda: any(one.rungs for one in searches)):
+    with until_deadline(until, lambda: any(one.candidates for one in searches)):
         for one, limits_too in _with_limits(options, question):
             knobs = knobs_of(machine, question.spec, one, question.free, limits_too=limits_too)
             effort = question.effort
@@ -220,16 +220,16 @@ def fastest_chosen(question: Question) -> FastestJob:
             search.most = search.tried + more_plans
             improved(search.attempt, tried, more_plans, tick_s, careful)
             break
-    rungs = [rung for search in searches for rung in search.rungs]
-    passed = [rung for rung in rungs if rung.duration_s is not None]
+    candidates = [candidate for search in searches for candidate in search.candidates]
+    passed = [candidate for candidate in candidates if candidate.duration_s is not None]
     if passed:
-        best = min(passed, key=lambda rung: rung.duration_s or math.inf)
-        best = replace(best, found=replace(best.found, limited_by=_limited_by(rungs)))
+        best = min(passed, key=lambda candidate: candidate.duration_s or math.inf)
+        best = replace(best, found=replace(best.found, limited_by=_limited_by(candidates)))
     else:
-        best = min(rungs, key=lambda rung: closeness(rung.found.verdict))
+        best = min(candidates, key=lambda candidate: closeness(candidate.found.verdict))
     return FastestJob(
         best=best,
-        rungs=tuple(rungs),
+        candidates=tuple(candidates),
         bounds=_bounds(question, best.options or options),
         left=_left(searches[-1]) if until is not None and until.ended else 0,
         ended="" if until is None else until.ended,
@@ -259,9 +259,11 @@ def _followings(options: Options, question: Question) -> Iterator[Options]:
     yield options
 
 
-def _limited_by(rungs: Sequence[Rung]) -> str:
+def _limited_by(candidates: Sequence[Candidate]) -> str:
     """Return the criterion that failed most often in plans shorter than the best."""
-    failed = [rung.found.limited_by for rung in rungs if rung.duration_s is None]
+    failed = [
+        candidate.found.limited_by for candidate in candidates if candidate.duration_s is None
+    ]
     return max(sorted(set(failed)), key=failed.count, default=LIMITS) if failed else LIMITS
 
 

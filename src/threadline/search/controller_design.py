@@ -45,7 +45,7 @@ _DESIGNS_WITH_OPTION: Mapping[str, tuple[str, ...]] = {
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Wanted:
+class DesignGoal:
     """A design and its options; None stands for an option that was not given.
 
     Parameters
@@ -137,7 +137,7 @@ class ControlDesign(Summarised):
         }  # fmt: skip
 
 
-def design_controllers(machine: Machine, wanted: Wanted, file: Path) -> ControlDesign:
+def design_controllers(machine: Machine, goal: DesignGoal, file: Path) -> ControlDesign:
     """Design controllers, and write the machine with them, which is based on ``machine``.
 
     The file is written only if the machine in it can be read and analysed.
@@ -151,12 +151,12 @@ def design_controllers(machine: Machine, wanted: Wanted, file: Path) -> ControlD
     RecordingError
         If the file cannot be written.
     """
-    _check(machine, wanted, file)
-    command_text = f"threadline control {machine.reference} --design {wanted.design}"
-    if wanted.design == "cross-coupled":
-        designs, option_text = _coupled(machine, wanted)
+    _check(machine, goal, file)
+    command_text = f"threadline control {machine.reference} --design {goal.design}"
+    if goal.design == "cross-coupled":
+        designs, option_text = _coupled(machine, goal)
     else:
-        designs, option_text = _of_regulators(machine, wanted)
+        designs, option_text = _of_regulators(machine, goal)
     with tempfile.TemporaryDirectory() as folder:
         trial_file = Path(folder) / "designed.toml"
         trial_file.write_text(
@@ -170,7 +170,7 @@ def design_controllers(machine: Machine, wanted: Wanted, file: Path) -> ControlD
             ).encode()
         )
     return ControlDesign(
-        design=wanted.design,
+        design=goal.design,
         base=machine,
         machine=load_machine(str(file)),
         controllers=tuple(designs),
@@ -179,15 +179,15 @@ def design_controllers(machine: Machine, wanted: Wanted, file: Path) -> ControlD
     )
 
 
-def _check(machine: Machine, wanted: Wanted, file: Path) -> None:
-    if wanted.design not in DESIGNS:
+def _check(machine: Machine, goal: DesignGoal, file: Path) -> None:
+    if goal.design not in DESIGNS:
         raise OptionError(
-            f"no design {wanted.design[:40]!r}", remedy=f"There are: {', '.join(DESIGNS)}."
+            f"no design {goal.design[:40]!r}", remedy=f"There are: {', '.join(DESIGNS)}."
         )
     for name, designs in _DESIGNS_WITH_OPTION.items():
-        if getattr(wanted, name) is not None and wanted.design not in designs:
+        if getattr(goal, name) is not None and goal.design not in designs:
             raise OptionError(
-                f"--{name} is for the design {' or '.join(designs)}, not for {wanted.design}",
+                f"--{name} is for the design {' or '.join(designs)}, not for {goal.design}",
                 remedy="Leave it out.",
             )
     if not machine.controllers or machine.takes_positions:
@@ -200,11 +200,11 @@ def _check(machine: Machine, wanted: Wanted, file: Path) -> None:
     check_output(file)
 
 
-def _of_regulators(machine: Machine, wanted: Wanted) -> tuple[list[Designed], str]:
+def _of_regulators(machine: Machine, goal: DesignGoal) -> tuple[list[Designed], str]:
     """Return designed regulators for all groups of coupled axes, and the options that were used."""
-    gain = 1.0 if wanted.gain is None else wanted.gain
-    ahead = 4 if wanted.ahead is None else wanted.ahead
-    smoothing = 1 if wanted.smoothing is None else wanted.smoothing
+    gain = 1.0 if goal.gain is None else goal.gain
+    ahead = 4 if goal.ahead is None else goal.ahead
+    smoothing = 1 if goal.smoothing is None else goal.smoothing
     if not 0.0 < gain <= _MOST_GAIN:
         shown = f"{Decimal(gain):.4g}"  # a whole number from Python may be too large for a float
         raise OptionError(f"--gain {shown} is not above 0 and at most {_MOST_GAIN:g}")
@@ -212,25 +212,25 @@ def _of_regulators(machine: Machine, wanted: Wanted) -> tuple[list[Designed], st
         raise OptionError(f"--ahead {ahead} is not from {PREVIEW[0]} to {PREVIEW[1]}")
     if smoothing % 2 == 0 or not 1 <= smoothing <= _MOST_SMOOTHING:
         raise OptionError(f"--smoothing {smoothing} is no odd number from 1 to {_MOST_SMOOTHING}")
-    other_sensors = wanted.sensors or ()
+    other_sensors = goal.sensors or ()
     plants = regulators(machine, gain, other_sensors)
     option_text = f" --gain {gain:g}" + (
         f" --sensors {','.join(other_sensors)}" if other_sensors else ""
     )
-    if wanted.design == "lqg":
+    if goal.design == "lqg":
         return [lqg(one) for one in plants], option_text
-    if wanted.design == "preview":
+    if goal.design == "preview":
         return [preview(one, ahead) for one in plants], f"{option_text} --ahead {ahead}"
     delay_ticks = max(zero_phase_ticks(one, smoothing) for one in plants)
     designs = [zero_phase(one, delay_ticks, smoothing) for one in plants]
     return designs, f"{option_text} --smoothing {smoothing}"
 
 
-def _coupled(machine: Machine, wanted: Wanted) -> tuple[list[Designed], str]:
+def _coupled(machine: Machine, goal: DesignGoal) -> tuple[list[Designed], str]:
     """Return the controller of two coupled axes, and the options that were used."""
-    pair = _pair(machine, wanted.axes)
-    angle_rad = parse_number("--direction", wanted.direction or "45 deg", "rad", "45 deg")
-    coupling = wanted.coupling or "50 %"
+    pair = _pair(machine, goal.axes)
+    angle_rad = parse_number("--direction", goal.direction or "45 deg", "rad", "45 deg")
+    coupling = goal.coupling or "50 %"
     weight = parse_number("--coupling", coupling, "", "50 %")
     if not 0.0 <= weight <= _MOST_GAIN:
         raise OptionError(f"--coupling {coupling!r} is not between 0 and {_MOST_GAIN:.0%}")

@@ -146,7 +146,7 @@ _RETRIED = 8  # number of settings of a known answer that are tried over the tol
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Wanted:
+class Requirements:
     """Requirements on a design, and options of its search.
 
     Parameters
@@ -181,7 +181,7 @@ class Wanted:
     searches: int = 1
 
 
-_BY_DEFAULT = Wanted()
+_BY_DEFAULT = Requirements()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -192,7 +192,7 @@ class Redesign:
     ----------
     machine, spec, options
         The machine to change, the specification that it has to meet, and how its job is planned.
-    wanted
+    requirements
         Requirements on the design.
     space, evaluator
         The space of the candidates, and their judge.
@@ -203,7 +203,7 @@ class Redesign:
     machine: Machine
     spec: Spec
     options: Options
-    wanted: Wanted
+    requirements: Requirements
     space: Space
     evaluator: Evaluator
     read: JobReader
@@ -214,8 +214,8 @@ class Redesign:
             space=self.space,
             evaluator=self.evaluator,
             spec=self.spec,
-            front=self.wanted.front,
-            searches=self.wanted.searches,
+            front=self.requirements.front,
+            searches=self.requirements.searches,
         ).made(numbers, progress)
 
     def answer(self, searches: Sequence[Search], progress: Progress | None = None) -> DesignResult:
@@ -226,12 +226,12 @@ class Redesign:
         MachineError, PlanError
             If the job cannot be planned for the original machine.
         """
-        space, evaluator, wanted = self.space, self.evaluator, self.wanted
-        trials, candidates = wanted.trials, pooled(searches)
+        space, evaluator, requirements = self.space, self.evaluator, self.requirements
+        trials, candidates = requirements.trials, pooled(searches)
         simulated = sum(one.simulated for one in searches)
         simulated_before = evaluator.simulated
         proved_design, refused = proved(
-            space, evaluator, candidates, self.spec, trials, wanted.corners
+            space, evaluator, candidates, self.spec, trials, requirements.corners
         )
         nearest = _nearest(space, candidates)
         centre = (
@@ -256,7 +256,7 @@ class Redesign:
             centre,
             level,
             np.median(used_logs, axis=0) * space.weights if len(used_logs) else space.weights,
-            wanted.plotted,
+            requirements.plotted,
             report,
         )
         known = {
@@ -283,7 +283,11 @@ class Redesign:
 
 
 def redesign(
-    job_file: Path, machine: Machine, spec: Spec, options: Options, wanted: Wanted = _BY_DEFAULT
+    job_file: Path,
+    machine: Machine,
+    spec: Spec,
+    options: Options,
+    requirements: Requirements = _BY_DEFAULT,
 ) -> Redesign:
     """Read the job for the original machine, and return the prepared redesign.
 
@@ -294,21 +298,22 @@ def redesign(
     """
     check_dynamics("what a change of its parts would do", machine)
     kind_of(machine).check_options(machine, options)
-    space = design_space(machine, wanted.smoothing_s)
+    space = design_space(machine, requirements.smoothing_s)
     read = JobReader.of(job_file, options)
     evaluator = Evaluator(
         space,
         read,
         spec,
         options,
-        OtherRuns.of(space, wanted.trials, corners=wanted.corners),
-        wanted.effort or (AHEAD if wanted.smoothing_s else FEW if space.alone else THOROUGH),
+        OtherRuns.of(space, requirements.trials, corners=requirements.corners),
+        requirements.effort
+        or (AHEAD if requirements.smoothing_s else FEW if space.serial else THOROUGH),
     )
     return Redesign(
         machine=machine,
         spec=spec,
         options=options,
-        wanted=wanted,
+        requirements=requirements,
         space=space,
         evaluator=evaluator,
         read=read,
@@ -320,7 +325,7 @@ def design(
     machine: Machine,
     spec: Spec,
     options: Options,
-    wanted: Wanted = _BY_DEFAULT,
+    requirements: Requirements = _BY_DEFAULT,
     progress: Progress | None = None,
 ) -> DesignResult:
     """Search the smallest change to ``machine`` that brings a job into ``spec``.
@@ -330,8 +335,8 @@ def design(
     MachineError, JobError, PlanError, OptionError
         If the input is wrong, or no commands can be made for the original machine.
     """
-    question = redesign(job_file, machine, spec, options, wanted)
-    searches = question.searched(range(wanted.searches), within_progress(progress, 0.0, 0.75))
+    question = redesign(job_file, machine, spec, options, requirements)
+    searches = question.searched(range(requirements.searches), within_progress(progress, 0.0, 0.75))
     return question.answer(searches, within_progress(progress, 0.75, 1.0))
 
 

@@ -282,12 +282,14 @@ class Evaluator:
         self.read, self._spec, self._options = read, spec, options
         self.simulated = 0
         self.judges: tuple[DesignJudge, ...] = ()
-        self._alone: SingleProofs | None = None
+        self._single_proofs: SingleProofs | None = None
         if space.ahead:
             return
-        if space.alone:
+        if space.serial:
             plan_job(read(space.machine), space.machine, options)  # may refuse the machine
-            self._alone = SingleProofs(space.machine, read, spec, options, self.others.repeats)
+            self._single_proofs = SingleProofs(
+                space.machine, read, spec, options, self.others.repeats
+            )
             return
         judges = []
         for share in space.levels:
@@ -299,7 +301,7 @@ class Evaluator:
 
     def delay_s(self, level: int, delay: int) -> float | None:
         """Return a needle delay; None where the job has no stitches."""
-        if self._alone is not None:
+        if self._single_proofs is not None:
             return None
         if self.space.ahead:
             return float(self.space.delays_s[delay])
@@ -318,8 +320,8 @@ class Evaluator:
         """
         if self.space.ahead:
             return self._ahead(points, level, beyond)
-        if self._alone is not None:
-            return self._one_by_one(self._alone, points, level, beyond)
+        if self._single_proofs is not None:
+            return self._one_by_one(self._single_proofs, points, level, beyond)
         order = np.argsort(level, kind="stable")
         parts = [
             self._at_level(points[order][level[order] == k], k, beyond)

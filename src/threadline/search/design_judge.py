@@ -12,7 +12,7 @@ from threadline.commands.plan import Plan
 from threadline.machine import Machine
 from threadline.machine.days import on_days
 from threadline.machine.vary import REPEAT_SEED, Days, drawn_days
-from threadline.proof.judge_runs import RunsJudge, kept_in_memory
+from threadline.proof.judge_runs import RunsJudge, cached_in_memory
 from threadline.proof.pipeline import Trials
 from threadline.search.design_space import Space
 from threadline.verdict import Criterion, EachRun, Spec
@@ -182,7 +182,7 @@ def design_judge(plan: Plan, machine: Machine, spec: Spec, delays_s: FloatArray)
     delays_s
         (D,) needle delays to try; empty for the specification's delay.
     """
-    plan_in_memory = kept_in_memory(replace(plan, machine=machine))
+    plan_in_memory = cached_in_memory(replace(plan, machine=machine))
     criteria = tuple(c for c in spec.criteria if _is_asked(c, plan_in_memory))
     length = tuple(c for c in criteria if c.name == _LENGTH)
     if not has_stitches(plan_in_memory.job):
@@ -251,7 +251,7 @@ class OtherRuns:
             repeats=trials.repeats,
             # If machines are simulated one by one, the corners would take hours, so only the proof
             # judges them.
-            corners=(corners or all_machines) and space.corner_count > 1 and not space.alone,
+            corners=(corners or all_machines) and space.corner_count > 1 and not space.serial,
         )
 
     @property

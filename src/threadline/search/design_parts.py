@@ -49,7 +49,7 @@ class DesignRecord:
     words
         Job, machine and options as typed, by name.
     corners, front, searches
-        Options of the redesign, as in ``Wanted``.
+        Options of the redesign, as in ``Requirements``.
     part
         Number of the part, and of all parts.
     """
@@ -107,9 +107,9 @@ def searches_of(part: Part, searches: int) -> range:
 
 def design_identity(question: Redesign) -> dict[str, str]:
     """Return everything that affects the results of a part."""
-    wanted = question.wanted
+    requirements = question.requirements
     settings = repr(
-        (question.options, wanted.trials, wanted.smoothing_s, question.evaluator.effort)
+        (question.options, requirements.trials, requirements.smoothing_s, question.evaluator.effort)
     )
     return {
         "job": question.read.sha256,

@@ -136,7 +136,7 @@ def proved(
     """Return the cheapest candidate that the whole pipeline proves, and why others were refused."""
     refused: list[str] = []
     order = cheapest_first(space, tried)
-    if trials.machines or trials != trials.alone:
+    if trials.machines or trials != trials.without_others:
         # Many candidates cost nearly the same. If one of them fails, the others fail by a similar
         # amount.
         order = pareto(space, tried, 1.0 + 1e-9)

@@ -11,7 +11,7 @@ from threadline.proof.option_words import parse_width_s
 from threadline.proof.options import Options
 from threadline.proof.pipeline import with_shaping
 from threadline.proof.request import Words
-from threadline.search.design import Wanted
+from threadline.search.design import Requirements
 from threadline.search.design_searches import MOST_SEARCHES
 from threadline.verdict import Spec
 
@@ -27,7 +27,7 @@ class DesignAims:
     Parameters
     ----------
     corners, front, searches
-        As in ``Wanted``.
+        As in ``Requirements``.
     plot
         Two parameters for the region, as text.
     """
@@ -46,7 +46,7 @@ class DesignQuestion:
     machine: Machine
     spec: Spec
     options: Options
-    wanted: Wanted
+    requirements: Requirements
 
 
 def design_question(words: Words, job: Path, machine: Machine, aims: DesignAims) -> DesignQuestion:
@@ -82,7 +82,7 @@ def design_question(words: Words, job: Path, machine: Machine, aims: DesignAims)
         machine=machine,
         spec=with_shaping(words.spec(machine), machine, options),
         options=options,
-        wanted=Wanted(
+        requirements=Requirements(
             trials=words.trials(),
             corners=aims.corners,
             plotted=plotted,

@@ -49,7 +49,7 @@ class Space:
         Shares of the acceleration to try; with ``ahead`` a single one: each point has its own.
     ahead
         Whether the commands go through the exact inverse of each candidate: feed-forward.
-    alone
+    serial
         Whether candidates are planned for and proved one by one.
     delays_s
         (D,) needle delays to try; empty where the specification gives the delay.
@@ -65,7 +65,7 @@ class Space:
     levels: tuple[float, ...]
     delays_s: FloatArray
     ahead: bool = False
-    alone: bool = False
+    serial: bool = False
     known: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
 
     @property
@@ -180,7 +180,7 @@ def design_space(machine: Machine, smoothing_s: tuple[float, ...] = ()) -> Space
         levels=(1.0,) if ahead else shares,
         delays_s=np.zeros(1) if ahead else _delays(design),
         ahead=ahead,
-        alone=not kind_of(machine).together(machine),
+        serial=not kind_of(machine).together(machine),
         known={name: known.factors for name, known in design.known.items()},
     )
 

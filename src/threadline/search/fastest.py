@@ -165,9 +165,9 @@ class Fastest:
         return None if self.fastest is None else self.fastest.high
 
     @property
-    def alone(self) -> tuple[float, ...]:
+    def isolated(self) -> tuple[float, ...]:
         """Isolated feeds, which pass while their close neighbours fail, the highest first."""
-        return tuple(interval.high for interval in self.intervals if interval.alone)
+        return tuple(interval.high for interval in self.intervals if interval.isolated)
 
 
 def check_range(low: float, high: float, unit: str) -> None:
@@ -343,10 +343,10 @@ def _searched(
     """
     points, near, edge_relative = grid.points, grid.near, grid.edge
     feeds = _spaced(*feed_range, points)
-    passes = _passes(verdict_at, feeds)
+    passes = _feeds_pass(verdict_at, feeds)
     if near:
         feeds = _with_more_feeds(feeds, _gaps_to_refine(passes), near)
-        passes = _passes(verdict_at, feeds)
+        passes = _feeds_pass(verdict_at, feeds)
     expects(sum(before != after for before, after in pairwise(passes)))
     intervals = _bounded(verdict_at, feeds, passes, edge_relative)
     if near:
@@ -375,20 +375,20 @@ def _searched_from_above(
     if _fixed([verdict_at(feed) for feed in scan]):
         return []
     if not near:
-        intervals = _bounded(verdict_at, scan, _passes(verdict_at, scan), edge_relative)
+        intervals = _bounded(verdict_at, scan, _feeds_pass(verdict_at, scan), edge_relative)
         expects(2 * len(intervals))
         return intervals
     refined_gaps: set[int] = set()
     while True:
         feeds = _with_more_feeds(scan, refined_gaps, near)
-        intervals = _bounded(verdict_at, feeds, _passes(verdict_at, feeds), edge_relative)
+        intervals = _bounded(verdict_at, feeds, _feeds_pass(verdict_at, feeds), edge_relative)
         expects(1)
         examined: list[Interval] = []
-        while intervals and all(part.alone for part in examined):
+        while intervals and all(part.isolated for part in examined):
             examined = _examined(verdict_at, seen, intervals.pop(), grid) + examined
-        if all(part.alone for part in examined):
+        if all(part.isolated for part in examined):
             return _searched(verdict_at, seen, feed_range, grid, expects)
-        highest_passing = max(part.high for part in examined if not part.alone)
+        highest_passing = max(part.high for part in examined if not part.isolated)
         gap = bisect_right(scan, highest_passing) - 1
         if gap in refined_gaps or gap == len(scan) - 1:
             return intervals + examined
@@ -403,11 +403,11 @@ def _examined(
 
 def _down_to_passing(verdict_at: Judged, feeds: list[float]) -> list[float]:
     """Return the highest feeds, down to ``_ENOUGH`` in a row that pass or to a fixed error."""
-    passing_count, verdicts = 0, list[Verdict]()
+    passed_count, verdicts = 0, list[Verdict]()
     for index in range(len(feeds) - 1, -1, -1):
         verdicts.insert(0, verdict_at(feeds[index]))
-        passing_count = passing_count + 1 if verdicts[0].passed else 0
-        if passing_count == _ENOUGH or _fixed(verdicts):
+        passed_count = passed_count + 1 if verdicts[0].passed else 0
+        if passed_count == _ENOUGH or _fixed(verdicts):
             return feeds[index:]
     return feeds
 
@@ -452,7 +452,7 @@ def _failing(verdict: Verdict) -> dict[tuple[str, str, str], float]:
     }
 
 
-def _passes(verdict_at: Judged, feeds: Sequence[float]) -> list[bool]:
+def _feeds_pass(verdict_at: Judged, feeds: Sequence[float]) -> list[bool]:
     """Return whether each feed passes. The highest feed is tried first.
 
     A high feed takes the least time to simulate, and a failing feed fails at once. So a search that
@@ -483,7 +483,7 @@ def _bounded(
 
 def _first(intervals: Sequence[Interval]) -> Interval:
     """Return the first interval; an isolated feed only if there is no wider interval."""
-    return min(intervals, key=lambda interval: interval.alone)
+    return min(intervals, key=lambda interval: interval.isolated)
 
 
 def _gaps_to_refine(passes: Sequence[bool]) -> set[int]:

@@ -16,7 +16,7 @@ from threadline.jobs.gcode.feeds import RULES, as_f_words
 from threadline.jobs.operations import Feed, FeedMode, Job, Move, MoveRun, move_runs
 from threadline.machine import Machine
 from threadline.motion.path import programmed_path
-from threadline.proof.judge_runs import kept_in_memory
+from threadline.proof.judge_runs import cached_in_memory
 from threadline.proof.pipeline import open_job, plan_job
 from threadline.search.fastest import FINE, Fastest, Grid
 from threadline.search.paced import Paced, Question, fastest_paced
@@ -122,10 +122,10 @@ def feed_range_m_s(
         axes = machine.axis_names
         unit = as_f_words(1.0, rule)
         # F at which an axis alone has a speed: the time at F 1 for its distance in one second.
-        alone_s = feed_time_s(np.diag(speeds[0]), unit, axes, machine)
+        single_axis_s = feed_time_s(np.diag(speeds[0]), unit, axes, machine)
         together_s = feed_time_s(speeds[1:], unit, axes, machine)
         each_at_limit_s = feed_time_s(np.diag(speeds[1]), unit, axes, machine)
-        low, high = float(alone_s.max()), float(max(together_s.max(), each_at_limit_s.max()))
+        low, high = float(single_axis_s.max()), float(max(together_s.max(), each_at_limit_s.max()))
     else:
         low, high = (float((axis_speeds * machine.radius_m).max()) for axis_speeds in speeds)
     return _typed(low, math.ceil), _typed(high, math.floor)
@@ -167,7 +167,7 @@ def fastest_feed(
         def planned_at(pace: float) -> Plan:
             feed = Feed(by, pace)
             shortened_job, limited_machine = part.without_middles(feed, options.limit_share)
-            return kept_in_memory(
+            return cached_in_memory(
                 plan_job(shortened_job, limited_machine, replace(options, feed=feed))
             )
 

@@ -32,7 +32,7 @@ class Interval:
 
     Parameters
     ----------
-    alone
+    isolated
         Whether the interval is one isolated feed: its neighbours on both sides, within the
         refinement of edges, are out of specification. Such a feed passes by chance of the rounding
         of times to whole ticks.
@@ -40,7 +40,7 @@ class Interval:
 
     low: float
     high: float
-    alone: bool = False
+    isolated: bool = False
 
 
 def typeable(feed: float, gap: float) -> float:
@@ -97,7 +97,9 @@ def held_parts(
         width = part.high - part.low
         if width <= edge_relative * part.low:
             at_an_end = part.low <= min(seen) or part.high >= max(seen)
-            held.append(part if at_an_end else Interval(low=part.high, high=part.high, alone=True))
+            held.append(
+                part if at_an_end else Interval(low=part.high, high=part.high, isolated=True)
+            )
             continue
         inner_feeds = [
             typeable(part.low + (_GOLDEN * k % 1.0) * width, width / inside)

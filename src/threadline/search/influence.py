@@ -47,7 +47,7 @@ def judgements(numbers: int, samples: int) -> int:
 def influence(
     result: Callable[[FloatArray], FloatArray], normal: list[bool], samples: int, seed: int
 ) -> Influence:
-    """Return the Sobol indices of a result, Saltelli's way (``scipy.stats.sobol_indices``).
+    """Return the Sobol indices of a result by Saltelli's method (``scipy.stats.sobol_indices``).
 
     Parameters
     ----------
@@ -62,8 +62,8 @@ def influence(
     from scipy.stats import DegenerateDataWarning, bootstrap, sobol_indices, truncnorm, uniform
 
     truncated = truncnorm(-FARTHEST, FARTHEST, scale=1.0 / _PER_PART)
-    even = uniform(-1.0, 2.0)
-    distributions: list[Any] = [truncated if one else even for one in normal]
+    uniform_law = uniform(-1.0, 2.0)
+    distributions: list[Any] = [truncated if one else uniform_law for one in normal]
     random = np.random.default_rng(seed)
     values: list[FloatArray] = []
 

@@ -27,7 +27,7 @@ from threadline.motion.timing import TrajectoryReader
 from threadline.proof.pipeline import NOMINAL, Trials, prove_plan
 from threadline.search.feed_ranges import used
 from threadline.search.repeats import (
-    GIVEN_UP,
+    LEAST_GAIN,
     Learned,
     Repeat,
     Rules,
@@ -115,7 +115,7 @@ class Learner:
             return self._read(simulate(self.table, self.plan.machine))
         reader = TrajectoryReader(motion.trajectory)
         until_s = np.minimum(self._time_s[:ticks], motion.trajectory.duration_s)
-        return np.asarray(reader.ladder(until_s, 1)[:, 0, :])
+        return np.asarray(reader.derivatives(until_s, 1)[:, 0, :])
 
     def _read(self, recording: Recording) -> FloatArray:
         """Return the (n + 1, axes) sensor readings at the beginning of each tick, m or rad."""
@@ -164,7 +164,7 @@ class Learner:
             self.rules.gain,
         )
         best = runs[best_index]
-        if gain < self.rules.gain * GIVEN_UP:
+        if gain < self.rules.gain * LEAST_GAIN:
             return best.offset, 0.0, "the best table is kept"
         columns = zip(self.filters, best.error.T, self._scale, strict=True)
         change = np.stack(
@@ -319,7 +319,7 @@ def learn(
     return Learned(
         plan=learned, actual=run_machine, repeats=tuple(accounts), best=best,
         filters=learner.filters, rules=learner.rules,
-        proof=prove_plan(learned, spec, None, trials.alone, actual),
+        proof=prove_plan(learned, spec, None, trials.without_others, actual),
     )  # fmt: skip
 
 
@@ -346,7 +346,7 @@ def learned_verdict(
     verdicts: list[Verdict] = []
     for machine in machines:
         learned = learn(
-            learner, spec, actual=machine, repeats=repeats, trials=trials.alone
+            learner, spec, actual=machine, repeats=repeats, trials=trials.without_others
         ).proof.verdict
         if not learned.passed:
             return learned

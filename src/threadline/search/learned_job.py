@@ -326,7 +326,7 @@ def refuse_simulated(words: Words) -> None:
         "--yield": trials.wanted_yield,
         "--ends": trials.ends,
         "--band": trials.band,
-        "--actual": words.given.get("actual"),
+        "--actual": words.values.get("actual"),
     }
     for name, value in simulated.items():
         if value:

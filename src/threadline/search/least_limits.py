@@ -22,7 +22,7 @@ from threadline.motion.timing import Pace
 from threadline.proof.option_words import LEAST_SHARE
 from threadline.proof.options import Options
 from threadline.proof.pipeline import check_loops, plan_job
-from threadline.search.allowance import FastestJob, Rung, fastest_allowed
+from threadline.search.allowance import Candidate, FastestJob, fastest_allowed
 from threadline.search.chosen_plans import fastest_chosen
 from threadline.search.deadline import Deadline, HaltError, no_answer, until_deadline
 from threadline.search.fastest import FINE, RANGE, Fastest, Grid, check_range
@@ -60,7 +60,7 @@ class Shares:
         Expected number of searches of one share.
     progress, until
         As in ``Question``.
-    rungs, left_out
+    candidates, left_out
         Results by share; and skipped shares, with which the job takes at least as long as the best
         result so far, even at the highest feed.
     top_s
@@ -75,13 +75,13 @@ class Shares:
     expected: int
     progress: Progress | None
     until: Deadline | None
-    rungs: dict[float, Rung] = field(default_factory=dict)
+    candidates: dict[float, Candidate] = field(default_factory=dict)
     left_out: set[float] = field(default_factory=set)
     top_s: float | None = None
     steps: int = 0
     progress_share: float = 0.0
 
-    def tried(self, share: float, grid: Grid) -> Rung | None:
+    def tried(self, share: float, grid: Grid) -> Candidate | None:
         """Return the result of a share, which is searched if unknown; None if the share is skipped.
 
         Raises
@@ -90,11 +90,11 @@ class Shares:
             If the time ends, or a user asks for the answer, after the result of this share is
             known.
         """
-        if share in self.rungs and not grid.near:
-            return self.rungs[share]
+        if share in self.candidates and not grid.near:
+            return self.candidates[share]
         report = self._telling(share)
         self.steps += 1
-        if share in self.left_out or (share not in self.rungs and self._hopeless(share)):
+        if share in self.left_out or (share not in self.candidates and self._hopeless(share)):
             return None
         found = self.searched(share, grid, report)
         try:
@@ -105,15 +105,15 @@ class Shares:
             if self.until is None or not self.until.interrupted(signal):
                 raise
             duration_s = self.duration_s(share, found)
-        self.rungs[share] = Rung(share=share, found=found, duration_s=duration_s)
+        self.candidates[share] = Candidate(share=share, found=found, duration_s=duration_s)
         if not found.complete or (self.until is not None and self.until.ended):
             raise HaltError
-        return self.rungs[share]
+        return self.candidates[share]
 
     @property
     def long(self) -> bool:
         """Whether the job is long with the best result so far, or else at the highest feed."""
-        if not self.rungs:
+        if not self.candidates:
             if self.top_s is None:
                 try:
                     self.top_s = self.at_top_s(1.0)
@@ -124,7 +124,7 @@ class Shares:
 
     @property
     def _best_s(self) -> float:
-        durations = (rung.duration_s for rung in self.rungs.values())
+        durations = (candidate.duration_s for candidate in self.candidates.values())
         return min((value for value in durations if value is not None), default=math.inf)
 
     def _telling(self, share: float) -> Progress | None:
@@ -146,7 +146,7 @@ class Shares:
 
     def _hopeless(self, share: float) -> bool:
         """Return whether a share is too slow to be the answer, even at the highest feed."""
-        if not self.rungs or not self.long:
+        if not self.candidates or not self.long:
             return False
         try:
             with nullcontext() if self.until is None else self.until.interrupting():
@@ -204,7 +204,7 @@ def fastest_job(question: Question) -> FastestJob:
         parts = distinct_parts(job, machine, joined=options.product is not None)
         by_feed = ignores_limits(parts[0], machine, options)
     seen: dict[float, dict[float, Verdict]] = {}
-    scanned, limits_alone = in_one_run(question), _only_limits(question)
+    scanned, limits_only = in_one_run(question), _only_limits(question)
 
     def searched(share: float, grid: Grid, report: Progress | None) -> Fastest:
         part_question = scanned if parts == (job,) else of_a_part(scanned)
@@ -212,7 +212,7 @@ def fastest_job(question: Question) -> FastestJob:
         question_at_share = replace(part_question, options=with_share, progress=report)
         # The slow feeds of a winding take longest to judge, and are never the answer.
         every_interval = options.product is None and (by_feed or not shares.long)
-        examined_grid = replace(grid, every=every_interval, between=limits_alone)
+        examined_grid = replace(grid, every=every_interval, between=limits_only)
         return fastest_feed(question_at_share, examined_grid, parts, seen.setdefault(share, {}))
 
     def planned_s(share: float, feed: float) -> float:
@@ -224,23 +224,23 @@ def fastest_job(question: Question) -> FastestJob:
             None if found.best is None else planned_s(share, found.best)
         ),
         at_top_s=lambda share: planned_s(share, high),
-        expected=1 if by_feed or limits_alone else len(question.effort.shares) + _AROUND,
-        progress=part_of(question.progress, 0.0, _OF_SEARCH if limits_alone else 1.0),
+        expected=1 if by_feed or limits_only else len(question.effort.shares) + _AROUND,
+        progress=part_of(question.progress, 0.0, _OF_SEARCH if limits_only else 1.0),
         until=until,
     )
-    tried, rungs = shares.tried, shares.rungs
+    tried, candidates = shares.tried, shares.candidates
     try:
         if by_feed:
             tried(1.0, FINE)
         else:
-            _climb(tried, rungs, question.effort.shares, first_alone=limits_alone)
+            _climb(tried, candidates, question.effort.shares, first_alone=limits_only)
     except HaltError as halt:
-        if not rungs:
+        if not candidates:
             raise no_answer() from halt
     except KeyboardInterrupt as signal:
-        if until is None or not rungs or not until.interrupted(signal):
+        if until is None or not candidates or not until.interrupted(signal):
             raise
-    best, stopped = min(rungs.values(), key=in_order), until is not None and bool(until.ended)
+    best, stopped = min(candidates.values(), key=in_order), until is not None and bool(until.ended)
     repeats, shortened = parts != (job,), _cut(parts, machine, best, by)
     partly = repeats or shortened or scanned is not question
     whole = not stopped or not partly
@@ -248,17 +248,19 @@ def fastest_job(question: Question) -> FastestJob:
         whole = False
         if question.progress is not None:
             question.progress("the whole job", shares.steps / (shares.steps + 1))
-        with until_deadline(until, lambda: rungs):
-            best = judged_whole(best, rungs, question, 1 if scanned is question else len(rungs))
+        with until_deadline(until, lambda: candidates):
+            best = judged_whole(
+                best, candidates, question, 1 if scanned is question else len(candidates)
+            )
             whole = True
     best = (
-        with_searched_best(best, rungs, question, None if partly else seen)
+        with_searched_best(best, candidates, question, None if partly else seen)
         if whole and not stopped
         else best
     )
     return FastestJob(
         best=best,
-        rungs=tuple(sorted(rungs.values(), key=lambda rung: -rung.share)),
+        candidates=tuple(sorted(candidates.values(), key=lambda candidate: -candidate.share)),
         left_out=tuple(sorted(shares.left_out, reverse=True)),
         moves=moves_in(job) if repeats or shortened else 0,
         judged_moves=sum(map(moves_in, parts)) if repeats or shortened else 0,
@@ -268,9 +270,7 @@ def fastest_job(question: Question) -> FastestJob:
         in_one_run=scanned is not question,
         ended="" if until is None else until.ended,
         by=by,
-        enough=_enough(best, planned_s, question.progress)
-        if limits_alone and not stopped
-        else None,
+        enough=_enough(best, planned_s, question.progress) if limits_only and not stopped else None,
     )
 
 
@@ -290,7 +290,7 @@ _ENOUGH_STEP = 1.02  # ratio of neighbouring feeds at which the search for ``eno
 
 
 def _enough(
-    best: Rung, planned_s: Callable[[float, float], float], progress: Progress | None
+    best: Candidate, planned_s: Callable[[float, float], float], progress: Progress | None
 ) -> float | None:
     """Return the lowest feed of the best interval that takes as long as the interval's upper end.
 
@@ -343,13 +343,13 @@ def _only_limits(question: Question) -> bool:
     A machine without dynamics does not ring, so only a criterion of the specification could need
     less acceleration.
     """
-    limits_alone = all(one.hard or one.limit is None for one in question.spec.criteria)
-    return question.machine.without_dynamics and limits_alone
+    limits_only = all(one.hard or one.limit is None for one in question.spec.criteria)
+    return question.machine.without_dynamics and limits_only
 
 
 def _climb(
-    tried: Callable[..., Rung | None],
-    rungs: Mapping[float, Rung],
+    tried: Callable[..., Candidate | None],
+    candidates: Mapping[float, Candidate],
     ladder: Sequence[float],
     *,
     first_alone: bool,
@@ -362,27 +362,27 @@ def _climb(
     first_shares = ladder[:1] if first_alone else ladder
     for share in first_shares:
         tried(share, _SCAN)
-    best = min(rungs.values(), key=in_order)
+    best = min(candidates.values(), key=in_order)
     if best.duration_s is None and first_alone:
-        _climb(tried, rungs, ladder, first_alone=False)
+        _climb(tried, candidates, ladder, first_alone=False)
         return
     if best.duration_s is not None and len(first_shares) > 1:
         for factor in (_STEP, 1.0 / _STEP):
             share = round(best.share * factor, 6)
             while LEAST_SHARE <= share <= 1.0:
-                rung = tried(share, _SCAN)
-                if rung is None or not in_order(rung) < in_order(best):
+                candidate = tried(share, _SCAN)
+                if candidate is None or not in_order(candidate) < in_order(best):
                     break
-                best = rung
+                best = candidate
                 share = round(share * factor, 6)
     finer: set[float] = set()
     while best.duration_s is not None and best.share not in finer:
         finer.add(best.share)
         tried(best.share, _CLOSELY)
-        best = min(rungs.values(), key=in_order)
+        best = min(candidates.values(), key=in_order)
 
 
-def _cut(parts: Sequence[Job], machine: Machine, best: Rung, by: FeedMode) -> bool:
+def _cut(parts: Sequence[Job], machine: Machine, best: Candidate, by: FeedMode) -> bool:
     """Return whether the best plan was judged without the middles of long moves."""
     feed_m_s = best.found.best
     if feed_m_s is None:

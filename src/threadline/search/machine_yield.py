@@ -30,7 +30,7 @@ from threadline.verdict.replayed import NUMBERS, product_of, toleranced
 
 AT_ONCE = 4096
 """Number of machines that are judged and stored as one part; results do not depend on it."""
-_AT_ONCE_ALONE = 32
+_AT_ONCE_SERIAL = 32
 _AT_ONCE_LATE = 16_384
 """Number of machines in a part if dead times vary: only equal dead times are simulated together."""
 _AT_ONCE_AWAY, _TURNS = 256, 8
@@ -191,7 +191,7 @@ class MachineYield(WithinTolerances):
     def _at_once(self, variants: int) -> int:
         """Return the number of machines that are judged and stored as one part."""
         if not self.together:
-            return _AT_ONCE_ALONE
+            return _AT_ONCE_SERIAL
         if any(path.endswith(TIMES) for number in self.numbers for path in number.numbers):
             return _AT_ONCE_LATE  # each task of a worker has one choice of dead times
         remote_workers = workers()

@@ -155,7 +155,7 @@ def _cut(
                 and following.value
                 and not is_drawn
             ):
-                rests.append(_passes_s(machine, axis, from_m, to_m, contact.at.si))
+                rests.append(_end_switch_s(machine, axis, from_m, to_m, contact.at.si))
             spent_s += scan_s
         elif isinstance(following, SetOutput) and _draws(machine, following):
             is_drawn, spent_s = True, spent_s + scan_s
@@ -180,7 +180,9 @@ def _draws(machine: Machine, operation: SetOutput) -> bool:
     return machine.outputs[operation.name].kind == "vacuum" and bool(operation.value)
 
 
-def _passes_s(machine: Machine, axis: str, from_m: float, to_m: float, switch_m: float) -> float:
+def _end_switch_s(
+    machine: Machine, axis: str, from_m: float, to_m: float, switch_m: float
+) -> float:
     """Return the time from a move's last switching until its piston passes an end switch.
 
     After the last switching the valves close and the dead time passes. Then the piston has at most

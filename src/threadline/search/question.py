@@ -180,7 +180,7 @@ def question_of(words: Words, file: Path, machine: str | Path | Machine) -> Ques
     machine_with_radii = with_radii_of(file_machine, options)
     options = options.on(machine_with_radii)
     job = open_job(file, machine_with_radii, options)
-    given = {f"--{word}": words.given.get(word) or None for word in _NOT_EVERYWHERE}
+    given = {f"--{word}": words.values.get(word) or None for word in _NOT_EVERYWHERE}
     refuse_others(job, options, given)
     search = searched_as(job, options)
     learned = _learned(words, job, machine_with_radii, options)
@@ -228,7 +228,7 @@ def _learned(words: Words, job: Job, machine: Machine, options: Options) -> int 
     OptionError
         If the job cannot be learned, or the options choose machines that do not learn.
     """
-    repeats = words.given.get("learned")
+    repeats = words.values.get("learned")
     if repeats is None:
         return None
     if not isinstance(repeats, int) or not 1 <= repeats <= MOST_REPEATS:
@@ -237,7 +237,7 @@ def _learned(words: Words, job: Job, machine: Machine, options: Options) -> int 
             remedy="Five repeats are often enough.",
         )
     for other in ("mismatch", "band", "tolerances", "yield_"):
-        if words.given.get(other):
+        if words.values.get(other):
             raise OptionError(
                 f"--learned and --{other.strip('_')} exclude each other: every machine learns its "
                 "own table",
@@ -253,7 +253,7 @@ def _free(words: Words) -> frozenset[str]:
     If ``--contour`` is given without ``--feed-forward``, feed-forward counts as given, so that the
     motors follow the path.
     """
-    free = {word for word in CHOSEN if words.given.get(word) in (None, False)}
+    free = {word for word in CHOSEN if words.values.get(word) in (None, False)}
     if words.text("contour") is not None:
         free -= {"feed_forward"}
     return frozenset(free)
@@ -277,7 +277,7 @@ def refuse_others(job: Job, options: Options, given: Mapping[str, object]) -> No
 
     Parameters
     ----------
-    given
+    values
         By typed name: the given value, None where none was given.
 
     Raises

@@ -23,7 +23,7 @@ GAIN = 0.9
 _WORSE = 1.1  # a run whose error is larger than this times the least error is undone
 
 
-GIVEN_UP = 1.0 / 16.0  # below this share of the first gain the best table is kept
+LEAST_GAIN = 1.0 / 16.0  # below this share of the first gain the best table is kept
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -31,7 +31,7 @@ class ReportData:
     beam: BrokenBeam | None = None
 
 
-def _alone(proof: Proof) -> ReportData:
+def _proof_only(proof: Proof) -> ReportData:
     return ReportData(proof=proof)
 
 
@@ -44,9 +44,9 @@ def _schedule(proof: Proof) -> ReportData:
 
 
 REPORT_DATA: Mapping[type, Callable[[Proof], ReportData]] = {
-    Motion: _alone,
+    Motion: _proof_only,
     Scheduled: _schedule,
-    Stitched: _alone,
+    Stitched: _proof_only,
 }
 """By type of ``Plan.intent``; one entry for every ``Kind.intent`` in ``KINDS``."""
 

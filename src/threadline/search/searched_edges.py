@@ -31,7 +31,7 @@ def with_searched_edges(
     searched: Callable[[float, Verdict], Verdict],
     *,
     until: Deadline | None = None,
-    best_alone: bool = False,
+    best_only: bool = False,
 ) -> Fastest:
     """Return the result with ends of intervals that also pass a search for a failing run.
 
@@ -41,7 +41,7 @@ def with_searched_edges(
         Returns the verdict at a pace, as in the search of ``found``.
     searched
         Takes a pace and its verdict; returns the verdict after the search for a bad run.
-    best_alone
+    best_only
         Whether only the upper end of the fastest interval is searched.
 
     Raises
@@ -65,21 +65,21 @@ def with_searched_edges(
             )
         return searched_verdicts[pace]
 
-    kept_intervals: list[Interval] = []
+    intervals: list[Interval] = []
     best_found = False
     for interval in found.intervals:
-        if best_found or (best_alone and interval.alone and not first.alone):
-            kept_intervals.append(interval)
+        if best_found or (best_only and interval.isolated and not first.isolated):
+            intervals.append(interval)
             continue
         high = _held(verdict_at, interval.high, interval.low, found.edge)
         if high is None:
             continue
-        low = interval.low if best_alone else _held(verdict_at, interval.low, high, found.edge)
+        low = interval.low if best_only else _held(verdict_at, interval.low, high, found.edge)
         low = high if low is None else min(low, high)
-        alone = interval.alone or (low == high and interval.low < interval.high)
-        kept_intervals.append(Interval(low=low, high=high, alone=alone))
-        best_found = best_alone
-    return _with_kept(found, tuple(kept_intervals), searched_verdicts)
+        isolated = interval.isolated or (low == high and interval.low < interval.high)
+        intervals.append(Interval(low=low, high=high, isolated=isolated))
+        best_found = best_only
+    return _with_intervals(found, tuple(intervals), searched_verdicts)
 
 
 def _held(verdict_at: Judged, end: float, far_end: float, edge: float) -> float | None:
@@ -103,13 +103,15 @@ def _held(verdict_at: Judged, end: float, far_end: float, edge: float) -> float 
         failing, step = pace, 2.0 * step
 
 
-def _with_kept(found: Fastest, kept: tuple[Interval, ...], known: dict[float, Verdict]) -> Fastest:
+def _with_intervals(
+    found: Fastest, intervals: tuple[Interval, ...], known: dict[float, Verdict]
+) -> Fastest:
     """Return a result with other intervals, and with the criterion that limits the fastest."""
     assert found.best is not None
     ends = {end for interval in found.intervals for end in (interval.low, interval.high)}
     tried = found.tried + len(known.keys() - ends)
     failing = {pace: verdict for pace, verdict in known.items() if not verdict.passed}
-    result = replace(found, intervals=kept, tried=tried)
+    result = replace(found, intervals=intervals, tried=tried)
     if result.best is None:
         closest = closest_of(failing.values())
         limited_by = worst_criterion(closest)[0]

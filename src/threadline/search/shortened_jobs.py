@@ -87,7 +87,7 @@ class LongMoves:
         unchanged = self.job, self.machine
         if not len(self.way):
             return unchanged
-        kept_share = 2.0 * self._kept(feed, share)
+        kept_share = 2.0 * self._end_share(feed, share)
         left_out = np.where(kept_share < _WORTH, 1.0 - kept_share, 0.0)
         if not left_out.any():
             return unchanged
@@ -111,7 +111,7 @@ class LongMoves:
             return job, self.machine
         return unchanged if self.machine.inputs else (job, _without_ends(self.machine))
 
-    def _kept(self, feed: Feed, share: float) -> FloatArray:
+    def _end_share(self, feed: Feed, share: float) -> FloatArray:
         """Return (n,) the share of each move that is kept at either end; 1 for short moves."""
         machine, axes = self.machine, self.job.axes
         columns = [machine.axis_names.index(axis) for axis in axes]

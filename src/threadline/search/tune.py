@@ -26,7 +26,7 @@ from threadline.dynamics.loop_design import (
     NAMES,
     NUMBERS,
     ControllerKind,
-    check_wanted,
+    check_goal,
     design,
     grid_margins,
     open_plant,
@@ -59,7 +59,7 @@ _TRIES = 60
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Wanted:
+class TuningGoal:
     """The goal of a tuning.
 
     Parameters
@@ -79,7 +79,7 @@ class Wanted:
 
 def tune(
     machine: Machine,
-    wanted: Wanted,
+    goal: TuningGoal,
     jobs: Sequence[Path] = (),
     spec: Spec | None = None,
     progress: Progress | None = None,
@@ -104,7 +104,7 @@ def tune(
     JobError
         If a job cannot be read.
     """
-    names = wanted.axes or tuple(name for name, one in machine.axes.items() if one.controller)
+    names = goal.axes or tuple(name for name, one in machine.axes.items() if one.controller)
     if not names:
         raise OptionError(
             f"machine {machine.name!r} has no control loops", remedy="It has nothing to tune."
@@ -119,12 +119,12 @@ def tune(
                 place=machine.place,
                 remedy="Name another --axis, or tune the machine file without that controller.",
             )
-        check_wanted(loop, wanted.phase_margin_deg, wanted.crossover_hz)
+        check_goal(loop, goal.phase_margin_deg, goal.crossover_hz)
     axes = []
     for k, name in enumerate(names):
         if progress is not None:
             progress(f"axis {name}", k / (len(names) + len(jobs)))
-        axes.append(_tuned_axis(machine, loops[name], wanted))
+        axes.append(_tuned_axis(machine, loops[name], goal))
     tuning = Tuning(machine=machine, axes=tuple(axes))
     runs = []
     for k, job in enumerate(jobs):
@@ -134,7 +134,7 @@ def tune(
     return Tuning(machine=machine, axes=tuple(axes), runs=tuple(runs))
 
 
-def _tuned_axis(machine: Machine, loop: Loop, wanted: Wanted) -> TunedAxis:
+def _tuned_axis(machine: Machine, loop: Loop, goal: TuningGoal) -> TunedAxis:
     axis, left_out = loop.axis, []
     found: list[tuple[ControllerKind, Rule, dict[str, float]]] = []
 
@@ -149,7 +149,7 @@ def _tuned_axis(machine: Machine, loop: Loop, wanted: Wanted) -> TunedAxis:
     if file_kind is not None:
         numbers = {k: number_at(machine, f"controllers.{name}.{k}").si for k in NUMBERS[file_kind]}
         found.append((file_kind, "file", numbers))
-    margin, crossover = wanted.phase_margin_deg, wanted.crossover_hz
+    margin, crossover = goal.phase_margin_deg, goal.crossover_hz
     for kind in CONTROLLERS:
         tried(kind, "margin", partial(design, machine, loop, kind, margin, crossover))
     limit = None
@@ -278,7 +278,9 @@ def _job_runs(tuning: Tuning, job: Path, spec: Spec | None) -> list[JobRun]:
     return job_runs
 
 
-def wanted_tuning(machine: Machine, axis: str | None, margin: str, crossover: str | None) -> Wanted:
+def tuning_goal(
+    machine: Machine, axis: str | None, margin: str, crossover: str | None
+) -> TuningGoal:
     """Return the goal of a tuning from its options as typed.
 
     Raises
@@ -292,7 +294,7 @@ def wanted_tuning(machine: Machine, axis: str | None, margin: str, crossover: st
             f"machine {machine.name!r} has no axis {axis[:20]!r} with a control loop",
             remedy=f"It has: {', '.join(controlled_axes) or 'none'}.",
         )
-    return Wanted(
+    return TuningGoal(
         phase_margin_deg=math.degrees(parse_number("margin", margin, "rad", "60 deg")),
         crossover_hz=None
         if crossover is None

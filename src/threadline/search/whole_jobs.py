@@ -9,7 +9,7 @@ from dataclasses import replace
 from threadline.commands.plan import Plan
 from threadline.jobs.operations import Feed, FeedMode
 from threadline.proof.pipeline import NOMINAL, plan_job
-from threadline.search.allowance import Rung
+from threadline.search.allowance import Candidate
 from threadline.search.deadline import until_deadline
 from threadline.search.feed_ranges import Interval, closeness, used, worst_criterion
 from threadline.search.paced import Question
@@ -38,32 +38,34 @@ def in_one_run(question: Question) -> Question:
     Near a limit, a verdict over repeats takes hundreds of runs and a verdict over tolerances takes
     hundreds of machines, which is too slow for a winding.
     """
-    if question.options.product is None or question.trials != question.trials.alone:
+    if question.options.product is None or question.trials != question.trials.without_others:
         return question
     if question.trials == NOMINAL:
         return question
     return replace(question, trials=NOMINAL)
 
 
-def judged_whole(best: Rung, rungs: dict[float, Rung], question: Question, most: int) -> Rung:
+def judged_whole(
+    best: Candidate, candidates: dict[float, Candidate], question: Question, most: int
+) -> Candidate:
     """Judge the whole job at the best share of the limits, or at the next; return the best result.
 
     At most ``most`` shares are tried, in order of duration, until one passes. For a winding over
     the tolerances, every share that may be the answer is tried. The results replace the entries of
-    ``rungs``.
+    ``candidates``.
     """
     over_machines = question.options.product is not None and question.trials.machines > 0
     results, shortest_s = [best], math.inf
-    for rung in sorted(rungs.values(), key=in_order)[:most]:
-        if rung.duration_s is None or rung.duration_s >= shortest_s:
+    for candidate in sorted(candidates.values(), key=in_order)[:most]:
+        if candidate.duration_s is None or candidate.duration_s >= shortest_s:
             break
         result = (
-            _over_machines(rung, question, shortest_s)
+            _over_machines(candidate, question, shortest_s)
             if over_machines
-            else _of_whole(rung, question)
+            else _of_whole(candidate, question)
         )
-        rungs[rung.share] = result
-        results = [result] if rung is best else [*results, result]
+        candidates[candidate.share] = result
+        results = [result] if candidate is best else [*results, result]
         shortest_s = min(shortest_s, math.inf if result.duration_s is None else result.duration_s)
         if result.found.fixed or (shortest_s < math.inf and not over_machines):
             break
@@ -71,15 +73,15 @@ def judged_whole(best: Rung, rungs: dict[float, Rung], question: Question, most:
 
 
 def with_searched_best(
-    best: Rung,
-    rungs: dict[float, Rung],
+    best: Candidate,
+    candidates: dict[float, Candidate],
     question: Question,
     seen: Mapping[float, Mapping[float, Verdict]] | None,
-) -> Rung:
-    """Return the best result with feeds that pass a search for a failing run; update ``rungs``.
+) -> Candidate:
+    """Return the best result with feeds that pass a search for a failing run.
 
-    If the result of another share becomes the best, its feeds are searched next. Once the time is
-    over, nothing is searched.
+    ``candidates`` is updated. If the result of another share becomes the best, its feeds are
+    searched next. Once the time is over, nothing is searched.
 
     Parameters
     ----------
@@ -90,18 +92,18 @@ def with_searched_best(
     searched_shares: set[float] = set()
     if not question.searches or (question.until is not None and question.until.ended):
         return best
-    with until_deadline(question.until, lambda: rungs):
+    with until_deadline(question.until, lambda: candidates):
         while best.duration_s is not None and best.share not in searched_shares:
             searched_shares.add(best.share)
-            best = rungs[best.share] = _with_searched(best, question, seen)
+            best = candidates[best.share] = _with_searched(best, question, seen)
             if seen is not None:
-                best = min(rungs.values(), key=in_order)
+                best = min(candidates.values(), key=in_order)
     return best
 
 
 def _with_searched(
-    best: Rung, question: Question, seen: Mapping[float, Mapping[float, Verdict]] | None
-) -> Rung:
+    best: Candidate, question: Question, seen: Mapping[float, Mapping[float, Verdict]] | None
+) -> Candidate:
     known_verdicts = {} if seen is None else seen.get(best.share, {})
 
     def judged(feed: float) -> Verdict:
@@ -113,7 +115,7 @@ def _with_searched(
         return question.searched(planned_at(question, best.share, feed), verdict)
 
     fastest = with_searched_edges(
-        best.found, judged, searched, until=question.until, best_alone=seen is None
+        best.found, judged, searched, until=question.until, best_only=seen is None
     )
     if fastest.best is None or fastest.best == best.found.best:
         return replace(best, found=fastest, duration_s=best.duration_s if fastest.best else None)
@@ -121,14 +123,14 @@ def _with_searched(
     return replace(best, found=fastest, duration_s=plan.duration_s)
 
 
-def in_order(rung: Rung) -> tuple[float, tuple[bool, float]]:
+def in_order(candidate: Candidate) -> tuple[float, tuple[bool, float]]:
     """Return the sort key of a result: its duration, or its distance to spec if no feed passes."""
-    if rung.duration_s is None:
-        return math.inf, closeness(rung.found.verdict)
-    return rung.duration_s, (False, 0.0)
+    if candidate.duration_s is None:
+        return math.inf, closeness(candidate.found.verdict)
+    return candidate.duration_s, (False, 0.0)
 
 
-def _of_whole(best: Rung, question: Question) -> Rung:
+def _of_whole(best: Candidate, question: Question) -> Candidate:
     """Return ``best`` judged by the whole job, at the highest feed at which it is in spec."""
     interval = best.found.fastest
     assert interval is not None
@@ -142,7 +144,7 @@ def _of_whole(best: Rung, question: Question) -> Rung:
     return _failed(best, verdict)
 
 
-def _over_machines(best: Rung, question: Question, shortest_s: float) -> Rung:
+def _over_machines(best: Candidate, question: Question, shortest_s: float) -> Candidate:
     """Return ``best`` at the highest tried feed at which all machines are in spec.
 
     The first machines are those that failed at the feed above, so a failing feed fails soon. A
@@ -207,7 +209,7 @@ def _same(worst: tuple[str, float], first: tuple[str, float]) -> bool:
     return worst[0] == first[0] and abs(worst[1] - first[1]) <= _FIXED * first[1] > 0.0
 
 
-def _passed(best: Rung, feed: float, verdict: Verdict, duration_s: float) -> Rung:
+def _passed(best: Candidate, feed: float, verdict: Verdict, duration_s: float) -> Candidate:
     interval = best.found.fastest
     assert interval is not None
     intervals = best.found.intervals
@@ -220,7 +222,7 @@ def _passed(best: Rung, feed: float, verdict: Verdict, duration_s: float) -> Run
     return replace(best, found=fastest, duration_s=duration_s)
 
 
-def _failed(best: Rung, verdict: Verdict, fixed: str = "") -> Rung:
+def _failed(best: Candidate, verdict: Verdict, fixed: str = "") -> Candidate:
     limited_by = worst_criterion(verdict)[0]
     fastest = replace(best.found, intervals=(), verdict=verdict, limited_by=limited_by, fixed=fixed)
     return replace(best, found=fastest, duration_s=None)

@@ -43,7 +43,7 @@ NOT_AS_WRITTEN = KeyError, TypeError, ValueError, AttributeError, OverflowError,
 _MOST_RUNS = 1 << 20  # largest number of machines in one line
 _TEXTS = ("name", "axis", "step", "unit")
 _FLAGS = ("required", "hard", "of_plan")
-_TOLD = (*_TEXTS, "limit", *_FLAGS)
+_ROW_FIELDS = (*_TEXTS, "limit", *_FLAGS)
 
 
 @dataclass(frozen=True, slots=True)
@@ -276,12 +276,12 @@ def same_first(known: EachRun, found: EachRun) -> bool:
 
 def _table(row: CriterionRow) -> tuple[Any, ...]:
     """Return the description of a row."""
-    return tuple(getattr(row, key) for key in _TOLD)
+    return tuple(getattr(row, key) for key in _ROW_FIELDS)
 
 
 def _packed(row: CriterionRow) -> dict[str, Any]:
     values = np.ascontiguousarray(row.values, dtype="<f8").tobytes()
-    return {**dict(zip(_TOLD, _table(row), strict=True)), "values": _text(values)}
+    return {**dict(zip(_ROW_FIELDS, _table(row), strict=True)), "values": _text(values)}
 
 
 def _unpacked(row: Mapping[str, Any], number: int, runs: int) -> CriterionRow:
@@ -298,7 +298,9 @@ def _unpacked(row: Mapping[str, Any], number: int, runs: int) -> CriterionRow:
         raise ValueError(f"row {number} is of no criterion")
     values = np.frombuffer(_bytes(row["values"], 8 * runs), dtype="<f8").astype(np.float64)
     return CriterionRow(
-        **{key: row[key] for key in _TOLD}, values=values, failed=exceeded(kind, limit, values)
+        **{key: row[key] for key in _ROW_FIELDS},
+        values=values,
+        failed=exceeded(kind, limit, values),
     )
 
 

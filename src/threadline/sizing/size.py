@@ -62,7 +62,7 @@ class Sizing:
 
 _MAY_BE_ZERO = ("turn_rad", "load_damping_n_s_m", "motor_damping_n_m_s", "friction_n", "dwell_s")
 _NOT_NUMBERS = ("profile",)
-_BEYOND = 1e15  # squares and products of numbers up to here are finite
+_LARGEST = 1e15  # squares and products of numbers up to here are finite
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -145,7 +145,7 @@ class Demands:
                     f"{'not negative' if part.name in _MAY_BE_ZERO else 'above 0'}",
                     remedy="Check its sign and unit.",
                 )
-            if value and not 1.0 / _BEYOND <= value <= _BEYOND:
+            if value and not 1.0 / _LARGEST <= value <= _LARGEST:
                 raise OptionError(
                     f"{part.name} is {value!r}; it must be from 1e-15 to 1e15",
                     remedy="Check its unit.",
@@ -193,7 +193,7 @@ class _Sheet:
     """The results so far, and the numbers for later results."""
 
     def __init__(self, demands: Demands) -> None:
-        self.given = demands
+        self.demands = demands
         self.lines: list[SizeLine] = []
         self.warnings: list[str] = []
         self.speed = demands.speed_m_s
@@ -208,12 +208,12 @@ class _Sheet:
 
     def product(self) -> None:
         """Speed and acceleration from stitches and corners."""
-        g = self.given
+        d = self.demands
         rules = []
-        if g.needle_speed_hz is not None and g.stitch_length_m is not None:
+        if d.needle_speed_hz is not None and d.stitch_length_m is not None:
             self.speed = self.add(
                 "head speed",
-                g.needle_speed_hz * g.stitch_length_m,
+                d.needle_speed_hz * d.stitch_length_m,
                 "m/s",
                 "needle speed x stitch length",
                 f"{_STITCHER}, eq 2.3",
@@ -221,20 +221,20 @@ class _Sheet:
             rules.append(
                 self.add(
                     "ramp acceleration",
-                    ramp_acceleration_m_s2(self.speed, g.stitch_length_m, g.ramp_stitches),
+                    ramp_acceleration_m_s2(self.speed, d.stitch_length_m, d.ramp_stitches),
                     "m/s^2",
-                    f"speed^2 / ({g.ramp_stitches:g} x stitch length): at speed within "
-                    f"{g.ramp_stitches:g} turns of the needle",
+                    f"speed^2 / ({d.ramp_stitches:g} x stitch length): at speed within "
+                    f"{d.ramp_stitches:g} turns of the needle",
                     f"{_STITCHER}, chapter 2, the two-stitch rule",
                 )
             )
-        if self.speed is not None and g.placement_m is not None:
+        if self.speed is not None and d.placement_m is not None:
             rules.append(
                 self.add(
                     "corner acceleration",
-                    corner_acceleration_m_s2(self.speed, g.placement_m, g.turn_rad),
+                    corner_acceleration_m_s2(self.speed, d.placement_m, d.turn_rad),
                     "m/s^2",
-                    f"speed^2 sin(turn / 2) / (4 placement), turn {math.degrees(g.turn_rad):g} deg",
+                    f"speed^2 sin(turn / 2) / (4 placement), turn {math.degrees(d.turn_rad):g} deg",
                     f"{_STITCHER}, eqs 2.4 to 2.7, for any angle",
                 )
             )
@@ -246,15 +246,15 @@ class _Sheet:
             return
         self.add(
             "corner error",
-            corner_error_m(self.speed, self.acceleration, g.turn_rad),
+            corner_error_m(self.speed, self.acceleration, d.turn_rad),
             "m",
             "speed^2 sin(turn / 2) / (4 acceleration)",
             f"{_STITCHER}, eqs 2.4 to 2.7, for any angle",
         )
-        if g.placement_m is not None and g.turn_rad > 0.0:
+        if d.placement_m is not None and d.turn_rad > 0.0:
             self.add(
                 "corner speed",
-                corner_speed_m_s(g.placement_m, self.acceleration, g.turn_rad),
+                corner_speed_m_s(d.placement_m, self.acceleration, d.turn_rad),
                 "m/s",
                 "sqrt(4 acceleration placement / sin(turn / 2))",
                 f"{_STITCHER}, eqs 2.4 to 2.7, for any angle",
@@ -262,13 +262,13 @@ class _Sheet:
 
     def drive(self) -> None:
         """Gear and inertia at the motor."""
-        g = self.given
-        if g.load_mass_kg is None or g.pulley_radius_m is None:
+        d = self.demands
+        if d.load_mass_kg is None or d.pulley_radius_m is None:
             return
-        if g.motor_inertia_kg_m2 is not None:
+        if d.motor_inertia_kg_m2 is not None:
             matched = self.add(
                 "matched ratio",
-                g.pulley_radius_m * math.sqrt(g.load_mass_kg / g.motor_inertia_kg_m2),
+                d.pulley_radius_m * math.sqrt(d.load_mass_kg / d.motor_inertia_kg_m2),
                 "",
                 "radius sqrt(load / rotor): load inertia at the motor = rotor inertia",
                 f"{_WINDER}, sections 4.1 and 6.3",
@@ -276,21 +276,21 @@ class _Sheet:
             self.ratio = self.ratio if self.ratio is not None else matched
         if self.ratio is None:
             return
-        lever = g.pulley_radius_m / self.ratio  # m per rad of the motor
+        lever = d.pulley_radius_m / self.ratio  # m per rad of the motor
         reflected = self.add(
             "reflected inertia",
-            g.load_mass_kg * lever**2,
+            d.load_mass_kg * lever**2,
             "kg*m^2",
             "load (radius / ratio)^2",
             _MECHANICS,
         )
-        self.damping = g.motor_damping_n_m_s + g.load_damping_n_s_m * lever**2
-        self.friction = g.friction_n * lever
-        if g.motor_inertia_kg_m2 is not None:
-            self.inertia = g.motor_inertia_kg_m2 + reflected
+        self.damping = d.motor_damping_n_m_s + d.load_damping_n_s_m * lever**2
+        self.friction = d.friction_n * lever
+        if d.motor_inertia_kg_m2 is not None:
+            self.inertia = d.motor_inertia_kg_m2 + reflected
             self.add(
                 "inertia ratio",
-                reflected / g.motor_inertia_kg_m2,
+                reflected / d.motor_inertia_kg_m2,
                 "",
                 "reflected inertia / rotor inertia; 1 heats the motor least",
                 f"{_WINDER}, sections 4.1 and 6.3",
@@ -300,12 +300,12 @@ class _Sheet:
 
     def motor(self) -> None:
         """Torque, current and voltage at full speed and acceleration."""
-        g = self.given
+        d = self.demands
         self._constants()
-        if self.inertia is None or self.speed is None or g.pulley_radius_m is None:
+        if self.inertia is None or self.speed is None or d.pulley_radius_m is None:
             return
         assert self.ratio is not None
-        per_m = self.ratio / g.pulley_radius_m
+        per_m = self.ratio / d.pulley_radius_m
         cruise = self.add(
             "cruise torque",
             self.damping * self.speed * per_m + self.friction,
@@ -323,19 +323,19 @@ class _Sheet:
                 _MECHANICS,
             )
         self._margin("torque margin", peak)
-        if g.torque_constant_n_m_a is None:
+        if d.torque_constant_n_m_a is None:
             return
         steady_a = self.add(
             "cruise current",
-            cruise / g.torque_constant_n_m_a,
+            cruise / d.torque_constant_n_m_a,
             "A",
             "cruise torque / Kt",
             _MECHANICS,
         )
         peak_a = self.add(
-            "peak current", peak / g.torque_constant_n_m_a, "A", "peak torque / Kt", _MECHANICS
+            "peak current", peak / d.torque_constant_n_m_a, "A", "peak torque / Kt", _MECHANICS
         )
-        limit = g.current_limit_a
+        limit = d.current_limit_a
         if limit is not None and peak_a > limit:
             self.warnings.append(
                 f"the motion needs {peak_a:.3g} A, the amplifier gives {limit:.3g} A"
@@ -344,10 +344,10 @@ class _Sheet:
             self.warnings.append(
                 f"cruising alone takes {steady_a:.3g} of {limit:.3g} A: is the damping right?"
             )
-        if g.back_emf_v_s is not None and g.resistance_ohm is not None:
+        if d.back_emf_v_s is not None and d.resistance_ohm is not None:
             self.add(
                 "peak voltage",
-                g.back_emf_v_s * self.speed * per_m + g.resistance_ohm * peak_a,
+                d.back_emf_v_s * self.speed * per_m + d.resistance_ohm * peak_a,
                 "V",
                 "Ke motor speed + R peak current",
                 _MECHANICS,
@@ -355,21 +355,21 @@ class _Sheet:
 
     def _margin(self, name: str, needed_n_m: float) -> None:
         """Add the ratio of the motor's peak torque to the needed torque."""
-        g = self.given
-        if g.motor_torque_n_m is None or needed_n_m == 0.0:
+        d = self.demands
+        if d.motor_torque_n_m is None or needed_n_m == 0.0:
             return
         margin = self.add(
-            name, g.motor_torque_n_m / needed_n_m, "", "motor torque / peak torque", _EMBROIDERY
+            name, d.motor_torque_n_m / needed_n_m, "", "motor torque / peak torque", _EMBROIDERY
         )
-        if g.torque_margin is not None and margin < g.torque_margin:
+        if d.torque_margin is not None and margin < d.torque_margin:
             self.warnings.append(
                 f"the motor has {margin:.3g} times the needed torque, required are "
-                f"{g.torque_margin:g} times: {g.torque_margin * needed_n_m:.4g} N m"
+                f"{d.torque_margin:g} times: {d.torque_margin * needed_n_m:.4g} N m"
             )
 
     def _constants(self) -> None:
-        g = self.given
-        kt, ke, resistance = g.torque_constant_n_m_a, g.back_emf_v_s, g.resistance_ohm
+        d = self.demands
+        kt, ke, resistance = d.torque_constant_n_m_a, d.back_emf_v_s, d.resistance_ohm
         if kt is None or ke is None:
             return
         if abs(ke / kt - 1.0) > _KT_KV_AGREE:
@@ -377,10 +377,10 @@ class _Sheet:
                 f"Kt is {kt:.4g} N m/A and Ke {ke:.4g} V s/rad, {abs(ke / kt - 1) * 100:.0f} % "
                 "apart; in SI they must be equal"
             )
-        if resistance is not None and g.motor_inertia_kg_m2 is not None:
+        if resistance is not None and d.motor_inertia_kg_m2 is not None:
             self.add(
                 "mechanical time constant",
-                resistance * g.motor_inertia_kg_m2 / (kt * ke),
+                resistance * d.motor_inertia_kg_m2 / (kt * ke),
                 "s",
                 "R rotor inertia / (Kt Ke)",
                 f"{_WINDER}, section 6.3, KM",
@@ -388,70 +388,70 @@ class _Sheet:
 
     def move(self) -> None:
         """A repeated move: speeds, torque and heat by profile."""
-        g = self.given
+        d = self.demands
         try:  # also without a move, so that a wrong option is not ignored
-            profile = SpeedProfile(name=g.profile, ramp=g.ramp)
+            profile = SpeedProfile(name=d.profile, ramp=d.ramp)
         except ValueError as error:
             raise OptionError(str(error)) from error
-        if g.move_m is None or g.move_s is None:
+        if d.move_m is None or d.move_s is None:
             return
         self.add(
             "profile efficiency",
             profile.efficiency,
             "",
-            f"heat of the parabola / heat of the {g.profile} profile",
+            f"heat of the parabola / heat of the {d.profile} profile",
             f"{_WINDER}, section 6.3, Figure 6-3",
         )
-        mean = g.move_m / g.move_s
+        mean = d.move_m / d.move_s
         factor = profile.peak_speed, profile.peak_acceleration
         self.add(
             "move speed", factor[0] * mean, "m/s", f"{factor[0]:.4g} distance / time", _MECHANICS
         )
         self.add(
             "move acceleration",
-            factor[1] * mean / g.move_s,
+            factor[1] * mean / d.move_s,
             "m/s^2",
             f"{factor[1]:.4g} distance / time^2",
             _MECHANICS,
         )
-        if self.inertia is None or g.pulley_radius_m is None or self.ratio is None:
+        if self.inertia is None or d.pulley_radius_m is None or self.ratio is None:
             return
-        angle = g.move_m * self.ratio / g.pulley_radius_m
+        angle = d.move_m * self.ratio / d.pulley_radius_m
         load = (self.inertia, self.damping, self.friction)
         peak = self.add(
             "move peak torque",
-            profile.peak_torque(angle, g.move_s, *load),
+            profile.peak_torque(angle, d.move_s, *load),
             "N*m",
             "largest of inertia x acceleration + damping x speed + friction",
             _MECHANICS,
         )
         rms = self.add(
             "move rms torque",
-            profile.rms_torque(angle, g.move_s, *load, dwell_s=g.dwell_s),
+            profile.rms_torque(angle, d.move_s, *load, dwell_s=d.dwell_s),
             "N*m",
             "root mean square over the move and the dwell",
             f"{_WINDER}, section 6.3 (heat goes with its square)",
         )
         self._margin("move torque margin", peak)
-        if g.torque_constant_n_m_a is not None:
+        if d.torque_constant_n_m_a is not None:
             for name, torque in (("move peak current", peak), ("move rms current", rms)):
-                self.add(name, torque / g.torque_constant_n_m_a, "A", "torque / Kt", _MECHANICS)
+                self.add(name, torque / d.torque_constant_n_m_a, "A", "torque / Kt", _MECHANICS)
 
     def encoder(self) -> None:
         """Resolution at the load, and the rate of counts."""
-        g = self.given
-        if g.encoder_lines is None or g.pulley_radius_m is None or self.ratio is None:
+        d = self.demands
+        if d.encoder_lines is None or d.pulley_radius_m is None or self.ratio is None:
             return
         per_m = self.add(
             "encoder resolution",
-            4.0 * g.encoder_lines * self.ratio / (2.0 * math.pi * g.pulley_radius_m),
+            4.0 * d.encoder_lines * self.ratio / (2.0 * math.pi * d.pulley_radius_m),
             "count/m",
             "4 lines ratio / (2 pi radius)",
             f"{_WINDER}, sections 4.4 and 6.5",
         )
-        if g.placement_m is not None:
+        if d.placement_m is not None:
             self.add(
-                "counts in the placement", per_m * g.placement_m, "count", "resolution x placement",
+                "counts in the placement", per_m * d.placement_m, "count", "resolution x placement",
                 _MECHANICS,
             )  # fmt: skip
         if self.speed is None:
@@ -459,7 +459,7 @@ class _Sheet:
         rate = self.add(
             "count rate", per_m * self.speed, "count/s", "resolution x speed", _MECHANICS
         )
-        if g.count_rate_limit_hz is not None and rate > g.count_rate_limit_hz:
+        if d.count_rate_limit_hz is not None and rate > d.count_rate_limit_hz:
             self.warnings.append(
-                f"{rate:.4g} counts/s at speed; the counter follows {g.count_rate_limit_hz:.4g}"
+                f"{rate:.4g} counts/s at speed; the counter follows {d.count_rate_limit_hz:.4g}"
             )

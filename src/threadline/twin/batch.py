@@ -180,22 +180,22 @@ class _Batch:
     def run(self, values: Values, phases: FloatArray) -> BatchResult:
         commands, machine, options = self.commands, self.machine, self.options
         engine = Engine(machine, values, commands.start_counts / commands.counts_per_unit)
-        wanted = self._wanted(engine)
+        sources = self._sources(engine)
         tick_s = float(machine.tick_clock.period_s)
         window = NEVER if options.window_s is None else ceil(options.window_s / tick_s)
-        kept: dict[str, list[FloatArray]] = {name: [] for name in options.channels}
+        samples: dict[str, list[FloatArray]] = {name: [] for name in options.channels}
         peak = options.watch_current or any(".current" in c for c in options.channels)
         threads = options.threads or cpu_count() or 1
         started = engine.start(
             phases, watch_current=peak, quantised=options.quantised, threads=threads
         )
         with started as run:
-            readings = {reading for reading, _, _ in wanted.values()}
+            readings = {reading for reading, _, _ in sources.values()}
             for travelled in self._positions(self._rows_at_once(run, readings)):
                 read = run.advance(travelled, readings, every=options.record_every, window=window)
-                for name, (reading, scale, offset) in wanted.items():
-                    kept[name].append(offset + scale * read[reading])
-        return self._result(run, kept)
+                for name, (reading, scale, offset) in sources.items():
+                    samples[name].append(offset + scale * read[reading])
+        return self._result(run, samples)
 
     def _rows_at_once(self, run: Run, readings: set[Reading]) -> int:
         if not readings:
@@ -219,7 +219,7 @@ class _Batch:
             yield np.broadcast_to(position, (count, len(position)))
             left -= count
 
-    def _wanted(self, engine: Engine) -> dict[str, tuple[Reading, float, float]]:
+    def _sources(self, engine: Engine) -> dict[str, tuple[Reading, float, float]]:
         """Return the reading, scale and offset of each requested channel."""
         offers: dict[str, tuple[Reading, float, float]] = {}
         known = set(engine.readings())
@@ -242,7 +242,7 @@ class _Batch:
                 )
         return {channel: offers[channel] for channel in self.options.channels}
 
-    def _result(self, run: Run, kept: dict[str, list[FloatArray]]) -> BatchResult:
+    def _result(self, run: Run, samples: dict[str, list[FloatArray]]) -> BatchResult:
         names, commands = self.machine.axis_names, self.commands
         measures, failure = run.measures(), run.failure()
         answered = np.isfinite(measures.worst)
@@ -266,7 +266,7 @@ class _Batch:
             ticks=run.tick,
             slow_ticks=run.slow_ticks,
             events=run.events,
-            samples={name: np.concatenate(parts) for name, parts in kept.items()},
+            samples={name: np.concatenate(parts) for name, parts in samples.items()},
         )
 
 

@@ -225,8 +225,8 @@ class PieceRun:
         self.state = states[-1]
         states = states[:-1]
         history = np.concatenate((self.before, speed))
-        kept = len(self.before)
-        mean = 0.5 * (history[kept - 1 : -1] + speed)
+        history_length = len(self.before)
+        mean = 0.5 * (history[history_length - 1 : -1] + speed)
         demand, position, rate = np.zeros_like(speed), commanded[:-1].copy(), mean.copy()
         acceleration = np.zeros_like(speed)
         for k, source in enumerate(a.sources):
@@ -238,9 +238,9 @@ class PieceRun:
                 )
             else:
                 ticks = int(a.averaged[k])
-                earlier = history[kept - ticks : len(history) - ticks, k]
+                earlier = history[history_length - ticks : len(history) - ticks, k]
                 acceleration[:, k] = (speed[:, k] - earlier) / (ticks * a.tick_s)
-        self.before = history[-kept:]
+        self.before = history[-history_length:]
         whole = np.hstack((states[:, : len(a.piece.states)], position, rate))
         demand = a.piece.inertia * acceleration - in_order(whole, a.piece.pulls)
         demand += a.piece.friction * np.sign(rate)
@@ -298,15 +298,15 @@ def _commanded_position(
 
     The position includes the microstep error, and is the mean over the last ``ticks``.
     """
-    kept = counts[len(counts) - rows - ticks + 1 :]
-    position = kept / source.counts
+    window_counts = counts[len(counts) - rows - ticks + 1 :]
+    position = window_counts / source.counts
     error: FloatArray | None = None
     if not isinstance(source, PulseServo) and source.microstep_error is not None:
         turns = 2.0 * np.pi * (source.full_steps.si * position + phase)
         error = source.microstep_error.si * (np.sin(turns) - np.sin(2.0 * np.pi * phase))
     if ticks == 1:
         return np.asarray(position if error is None else position + error)
-    commanded = _means(kept, ticks) / source.counts
+    commanded = _means(window_counts, ticks) / source.counts
     if error is not None:
         commanded += _means(np.rint(_FINEST * error).astype(np.int64), ticks) / _FINEST
     return np.asarray(commanded)
@@ -430,7 +430,7 @@ class PositionSession(RowSession):
 
     def _block(self, first: int, parts: list[Part]) -> RecordingBlock:
         begin = -(-first // self._every)
-        kept = slice(begin * self._every - first, None, self._every)
+        recorded_rows = slice(begin * self._every - first, None, self._every)
         axes = len(self._machine.axes)
         nothing = np.zeros((0, axes), dtype=np.int64)
         position = self._start + np.concatenate([nothing, *(part.travelled for part in parts)])
@@ -438,15 +438,17 @@ class PositionSession(RowSession):
         for channel in self.channels[:-1]:
             name, at = channel.name, self._machine.axis_names.index(channel.axis)
             if channel.kind is ChannelKind.COMMANDED:
-                samples[name] = position[kept, at] / self._machine.axes[channel.axis].counts.si
+                samples[name] = (
+                    position[recorded_rows, at] / self._machine.axes[channel.axis].counts.si
+                )
                 continue
             values = np.concatenate([np.empty(0), *(part.read[name] for part in parts)])
             if channel.kind is ChannelKind.TORQUE_SHARE:
-                samples[name], self._carried[at] = _since(values, kept, self._carried[at])
+                samples[name], self._carried[at] = _since(values, recorded_rows, self._carried[at])
             else:
-                samples[name] = values[kept]
+                samples[name] = values[recorded_rows]
         operation = np.concatenate([nothing[:, 0], *(part.operation for part in parts)])
-        samples["operation"] = operation[kept].astype(np.float64)
+        samples["operation"] = operation[recorded_rows].astype(np.float64)
         events, self._pending_events = tuple(self._pending_events), []
         clock = self._machine.tick_clock.name
         return RecordingBlock(
@@ -476,9 +478,9 @@ def _channels(machine: Machine, every: int) -> Iterator[Channel]:
     yield Channel(name="operation", kind=ChannelKind.OPERATION, unit="", clock=clock, stride=every)
 
 
-def _since(share: FloatArray, kept: slice, carried: float) -> tuple[FloatArray, float]:
+def _since(share: FloatArray, recorded_rows: slice, carried: float) -> tuple[FloatArray, float]:
     """Return, for each sample, the largest share since the previous one; and since the last."""
-    at = np.arange(len(share))[kept]
+    at = np.arange(len(share))[recorded_rows]
     if not len(at):
         return np.empty(0), float(max(carried, share.max(initial=0.0)))
     begins = np.concatenate(([0], at[:-1] + 1))

@@ -137,8 +137,8 @@ class Session(RowSession):
         )
 
     def __getstate__(self) -> dict[str, Any]:
-        kept = {name: value for name, value in vars(self).items() if name not in _REBUILT}
-        return {**kept, "snapshot": self._run.snapshot()}
+        state = {name: value for name, value in vars(self).items() if name not in _REBUILT}
+        return {**state, "snapshot": self._run.snapshot()}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         snapshot = state.pop("snapshot")
@@ -201,8 +201,8 @@ class Session(RowSession):
             if len(parts) == 1
             else joined(parts, len(self._position), self._values.count, self._readings)
         )
-        kept = slice(begin - first, None, self._every)
-        samples = samples_of(self._sources, whole.read, whole.travelled[kept])
-        samples["operation"] = whole.operation[kept].astype(np.float64)
+        recorded_rows = slice(begin - first, None, self._every)
+        samples = samples_of(self._sources, whole.read, whole.travelled[recorded_rows])
+        samples["operation"] = whole.operation[recorded_rows].astype(np.float64)
         events, self._pending_events = tuple(self._pending_events), []
         return RecordingBlock(first_tick={self._clock: begin}, samples=samples, events=events)

@@ -287,11 +287,11 @@ def _read(
     over = np.empty((len(waits), 2), dtype=np.int64)
     first = 0
     while progress.plc[PHASE] in {RUNNING, CALMING}:
-        count, ended = run(orders, progress, bank, motion, Record(out, rows, over), UNBOUNDED)
+        count, wait_count = run(orders, progress, bank, motion, Record(out, rows, over), UNBOUNDED)
         _refuse_stall(commands, progress.plc)
         yield run_block(
             channels,
-            (out[:count], rows[:count], over[:ended]),
+            (out[:count], rows[:count], over[:wait_count]),
             (commands.outputs, states, commands.operation, waits),
             first,
         )

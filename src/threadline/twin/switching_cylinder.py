@@ -286,7 +286,7 @@ def _key(c: int, bank: Bank, motion: Motion) -> int:
     return 1 + (sense * flows + flow) * ramps + ramp - 1
 
 
-def _ended(c: int, bank: Bank, motion: Motion) -> bool:
+def _stops(c: int, bank: Bank, motion: Motion) -> bool:
     """Return whether a sliding piston stops or reverses by the state ``motion.ahead``."""
     rate = dot(bank.rows, c, RATE, motion.ahead)
     place = dot(bank.rows, c, STROKE, motion.ahead)
@@ -337,14 +337,14 @@ def _advance(c: int, halved: int, bank: Bank, motion: Motion) -> None:
     key = key_of(c, bank, motion)
     x, ahead = motion.state, motion.ahead
     times(bank.step, c, key, halved, x, ahead)
-    if motion.mode[c] != SLIDES or not ended(c, bank, motion):
+    if motion.mode[c] != SLIDES or not stops(c, bank, motion):
         put(x, c, ahead)
         return
     # Halves, quarters ... of the step that end before the event, and one shortest step more.
     left = 1 << (HALVINGS - halved)
     for halvings in range(halved + 1, HALVINGS + 1):
         times(bank.step, c, key, halvings, x, ahead)
-        if not ended(c, bank, motion):
+        if not stops(c, bank, motion):
             put(x, c, ahead)
             left -= 1 << (HALVINGS - halvings)
     times(bank.step, c, key, HALVINGS, x, ahead)
@@ -407,7 +407,7 @@ times = njit(nogil=True)(_times)
 stroke_of = njit(nogil=True)(_stroke_of)
 frame_of = njit(nogil=True)(_frame_of)
 key_of = njit(nogil=True)(_key)
-ended = njit(nogil=True)(_ended)
+stops = njit(nogil=True)(_stops)
 released = njit(nogil=True)(_released)
 change = njit(nogil=True)(_change)
 advance = njit(nogil=True)(_advance)

@@ -365,13 +365,13 @@ def _send(c: int, start: int, orders: Orders, progress: Progress) -> None:
     """
     row, creeps, wait = progress.plc[ROW] + 1, progress.plc[OPENED] != 0, progress.plc[WAIT]
     for f in range(orders.opened.shape[1]):
-        wanted = orders.creep_flowing[wait, c, f] if creeps else orders.flowing[row, c, f]
+        flow = orders.creep_flowing[wait, c, f] if creeps else orders.flowing[row, c, f]
         commanded = progress.commanded[c, f]
-        if wanted == commanded:
+        if flow == commanded:
             continue
-        later = orders.opened[c, f] if abs(wanted) > abs(commanded) else orders.shut[c, f]
+        later = orders.opened[c, f] if abs(flow) > abs(commanded) else orders.shut[c, f]
         at = max(start * orders.share[c] + later, progress.last[c, f])
-        progress.commanded[c, f], progress.last[c, f] = wanted, at
+        progress.commanded[c, f], progress.last[c, f] = flow, at
         place, came = progress.queue[c, 0], progress.queue[c, 1]
         if place == progress.arrival.shape[1]:
             for k in range(place - came):
@@ -383,7 +383,7 @@ def _send(c: int, start: int, orders: Orders, progress: Progress) -> None:
             progress.arrival[c, place] = progress.arrival[c, place - 1]
             progress.coming[c, place] = progress.coming[c, place - 1]
             place -= 1
-        progress.arrival[c, place], progress.coming[c, place] = at, wanted - commanded
+        progress.arrival[c, place], progress.coming[c, place] = at, flow - commanded
         progress.queue[c, 0] += 1
 
 
@@ -455,8 +455,8 @@ def _run(
             step_s = (then - now) / orders.sample * orders.step_s
             for c in range(len(orders.share)):
                 share = orders.share[c]
-                wanted = level_of(c, orders, plc)
-                progress.followed_m[c] += wanted * step_s * bank.numbers[c, SPEED]
+                level = level_of(c, orders, plc)
+                progress.followed_m[c] += level * step_s * bank.numbers[c, SPEED]
                 move(c, now * share, then * share, orders, progress, bank, motion)
             now = then
         plc[SCAN] += 1

@@ -248,10 +248,10 @@ class SwitchingSession:
         over = np.empty((len(self._waits) + 1, 2), dtype=np.int64)
         first = self.sample
         record = Record(out, rows, over)
-        count, ended = run(orders, progress, self._bank, self._motion, record, until)
+        count, wait_count = run(orders, progress, self._bank, self._motion, record, until)
         return run_block(
             self.channels,
-            (out[:count, :-1], rows[:count], over[:ended]),
+            (out[:count, :-1], rows[:count], over[:wait_count]),
             (self._outputs, self._states, self._operation, self._waits),
             first,
         )

@@ -82,8 +82,8 @@ def make_schedule(machine: Machine, group: Group) -> Schedule:
     tick = machine.tick_clock.period_s
     periods, delays = [], []
     for part in loop_parts(machine, group.controllers):
-        periods.append(machine.clock(part.of.clock).period_s)
-        delay = machine.motors[part.of.drive].delay
+        periods.append(machine.clock(part.settings.clock).period_s)
+        delay = machine.motors[part.settings.drive].delay
         exact = Fraction(0) if delay is None else delay.exact_s
         assert exact is not None
         delays.append(exact)

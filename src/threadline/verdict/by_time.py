@@ -163,13 +163,13 @@ def with_passes(results: Sequence[Result], job: Job) -> Iterator[Result]:
     The place of a result may lie on a chord of the previous or the next operation: the job line of
     the result decides.
     """
-    wanted = {
+    operations = {
         operation + step
         for operation in (r.operation for r in results if r.job_line is not None)
         if operation is not None
         for step in (-1, 0, 1)
     }
-    found = _sources(job, wanted)
+    found = _sources(job, operations)
     for result in results:
         if result.operation is not None and result.job_line is not None:
             for step in (0, -1, 1):
@@ -181,10 +181,10 @@ def with_passes(results: Sequence[Result], job: Job) -> Iterator[Result]:
         yield result
 
 
-def _sources(job: Job, wanted: set[int]) -> dict[int, tuple[int, tuple[int, ...]]]:
+def _sources(job: Job, operations: set[int]) -> dict[int, tuple[int, tuple[int, ...]]]:
     """Return line and passes of the wanted operations."""
     found: dict[int, tuple[int, tuple[int, ...]]] = {}
-    due = sorted(number for number in wanted if number >= 0)
+    due = sorted(number for number in operations if number >= 0)
     at = 0
     for item in job.runs() if due else ():
         count = len(item) if isinstance(item, MoveRun) else 1

@@ -15,7 +15,7 @@ import numpy as np
 
 from threadline.base.arrays import FloatArray
 from threadline.commands.plan import Plan
-from threadline.verdict.pattern import Closing
+from threadline.verdict.pattern import PatternClosure
 from threadline.verdict.replayed import WoundJob, programmed_fibre, wound_job
 from threadline.winding.product_reader import Toleranced
 
@@ -229,7 +229,7 @@ def _cause(
 
 def _laid(plan: Plan, job: WoundJob) -> Laid | None:
     """Return where the bands of the programmed winding lie; None for fewer than two circuits."""
-    closing = Closing([job], len(plan.axes))
+    closing = PatternClosure([job], len(plan.axes))
     low, high = np.inf, -np.inf
     for samples in programmed_fibre(plan, job):
         closing.take([samples])

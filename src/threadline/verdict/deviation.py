@@ -132,8 +132,8 @@ def _few_points(
     powers = np.arange(coefficients.shape[1])
     bend = np.abs(coefficients * radius) * (powers * (powers - 1.0))[:, None]
     sagitta = np.sqrt((bend.sum(axis=1) ** 2).sum(axis=1)) / 8.0
-    wanted = np.sqrt(sagitta / CHORD_ERROR_M)
-    count = np.minimum(2 ** np.ceil(np.log2(np.maximum(wanted, 1.0))), curved).astype(np.int64)
+    chord_count = np.sqrt(sagitta / CHORD_ERROR_M)
+    count = np.minimum(2 ** np.ceil(np.log2(np.maximum(chord_count, 1.0))), curved).astype(np.int64)
     begins = np.append(True, operation[1:] != operation[:-1])
     behind = np.cumsum(count + begins)
     points = np.empty((int(behind[-1]), coefficients.shape[2]))

@@ -17,7 +17,7 @@ from threadline.machine.spool import Spool
 from threadline.verdict.finding import Finding, RunFindings, Worst
 from threadline.verdict.laid_error import Apart
 from threadline.verdict.measure import Measure, Option
-from threadline.verdict.pattern import NEVER_KNOWN, Closing, Covering
+from threadline.verdict.pattern import NEVER_KNOWN, CoverageGap, PatternClosure
 from threadline.verdict.replayed import (
     Wound,
     WoundJob,
@@ -115,7 +115,9 @@ def _held(values: IntArray, before: int) -> IntArray:
 class _OfRun:
     """A measure that takes the samples of the shared replays."""
 
-    def __init__(self, setting: Setting, taking: _Largest | Covering | Closing | _Evenness) -> None:
+    def __init__(
+        self, setting: Setting, taking: _Largest | CoverageGap | PatternClosure | _Evenness
+    ) -> None:
         self._shared, self._taking = shared_replays(setting), taking
 
     def feed(self, block: Block) -> None:
@@ -304,9 +306,9 @@ def starter(name: str) -> Callable[[Setting, Mapping[str, float]], Measure]:
         if name == "coverage_gap":
             if jobs[0].product.covered is None:
                 return _Absent(runs, "the product names no [coverage]")
-            return _OfRun(setting, Covering(jobs, axes))
+            return _OfRun(setting, CoverageGap(jobs, axes))
         if name == "pattern_closure":
-            return _OfRun(setting, Closing(jobs, axes))
+            return _OfRun(setting, PatternClosure(jobs, axes))
         if name == "clearance":
             near = Near(jobs)
             noted = _Largest(runs, axes, near, lambda _, run, at: near.words(run, at))
@@ -341,14 +343,14 @@ def measure_planned(plan: Plan) -> dict[str, list[Finding]]:
     if job is None:
         return {name: [Finding(value=None, note=_NO_PRODUCT)] for name in PLANNED}
     axes = len(plan.axes)
-    taking: dict[str, _Largest | Covering | Closing] = {
+    taking: dict[str, _Largest | CoverageGap | PatternClosure] = {
         f"planned_{name}": _Largest(1, axes, *_OF_FIBRE[name])
         for name in ("slip_tendency", "bridging")
     }
     taking["planned_lifting"] = _Lifted(1, axes)
-    taking["planned_pattern_closure"] = Closing([job], axes)
+    taking["planned_pattern_closure"] = PatternClosure([job], axes)
     if job.product.covered is not None:
-        taking["planned_coverage_gap"] = Covering([job], axes)
+        taking["planned_coverage_gap"] = CoverageGap([job], axes)
     from threadline.winding.fit import Witness
 
     witness = Witness(job.surface, job.tool.payout_m)
@@ -384,7 +386,7 @@ def criteria_of(
     if take_up is None and spool is not None:
         follows = tensions_n if spool.most_torque is not None else ()
         take_up = min((spool.take_up_at(one) for one in follows), default=spool.take_up_m)
-    wanted: dict[str, float | None] = {
+    limits: dict[str, float | None] = {
         "planned_slip_tendency": slip,
         "planned_bridging": _LEAST_M,
         "planned_lifting": _LEAST_M,
@@ -401,10 +403,10 @@ def criteria_of(
         "pattern_closure": None,
     }
     if product.covered is not None:
-        wanted |= {"planned_coverage_gap": product.gap, "coverage_gap": product.gap}
+        limits |= {"planned_coverage_gap": product.gap, "coverage_gap": product.gap}
     found = [
         Criterion(name=name, limit=limit, required=limit is not None)
-        for name, limit in wanted.items()
+        for name, limit in limits.items()
     ]
     if spool is not None:
         # Not required: a real machine may have no sensor of the tension.

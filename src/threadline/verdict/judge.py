@@ -138,8 +138,8 @@ class Judge:
         plan, spec = self.plan, self.spec
         findings, runs, readers = self._measured(recordings, recorded=recorded)
         for other in others:
-            measured, _, ended = self._measured([other], together=False, recorded=recorded)
-            readers = [*readers, *ended]
+            measured, _, more_readers = self._measured([other], together=False, recorded=recorded)
+            readers = [*readers, *more_readers]
             for key, found in measured.items():
                 if key not in self._of_plan:
                     findings[key] = joined(findings.get(key, []), found)
@@ -410,8 +410,8 @@ def _result(criterion: Criterion, kind: MeasureKind, plan: Plan, finding: Findin
 
 def _lined(happened: Sequence[Disturbance], plan: Plan) -> list[Disturbance]:
     """Fill in the job lines of events."""
-    wanted = {one.operation for one in happened if one.operation is not None}
-    lines = plan.intent.lines_of(plan.job, wanted) if wanted else {}
+    operations = {one.operation for one in happened if one.operation is not None}
+    lines = plan.intent.lines_of(plan.job, operations) if operations else {}
     return [
         one if one.operation is None else replace(one, job_line=lines.get(one.operation) or None)
         for one in happened
@@ -425,8 +425,8 @@ def _in_order(happened: Sequence[Disturbance]) -> list[Disturbance]:
 
 def with_lines(results: Sequence[Result], plan: Plan) -> tuple[Result, ...]:
     """Return results with the job lines and passes that their measures did not know."""
-    wanted = {r.operation for r in results if r.operation is not None and r.job_line is None}
-    lines = plan.intent.lines_of(plan.job, {o for o in wanted if o is not None})
+    operations = {r.operation for r in results if r.operation is not None and r.job_line is None}
+    lines = plan.intent.lines_of(plan.job, {o for o in operations if o is not None})
     lined = tuple(
         replace(result, job_line=lines.get(result.operation) or None)
         if result.operation is not None and result.job_line is None

@@ -109,8 +109,8 @@ def _design_of(plan: Plan) -> FloatArray:
         points = _points(job.surface, fibre)
         # One row of an unknown part stays, so that no chord crosses it.
         known_rows = np.concatenate([[True], np.isfinite(points[:, 0])])
-        kept = (known_rows[1:] | known_rows[:-1]) & np.isfinite(fibre.length_m)
-        rows.append(points[kept])
+        is_known = (known_rows[1:] | known_rows[:-1]) & np.isfinite(fibre.length_m)
+        rows.append(points[is_known])
     design = np.vstack(rows)
     design[:, 3] = np.maximum.accumulate(design[:, 3])
     _LATEST.plan, _LATEST.design = plan, design

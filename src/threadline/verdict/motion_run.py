@@ -331,7 +331,7 @@ class MotionRun(Setting):
     def _arrived(self, block: Block) -> bool:
         """Return whether the command rests at the path's end, in the last moving operation."""
         path, commanded, operation = block.path, block.commanded, block.operation
-        if path is None or commanded is None or operation is None or not path.ended:
+        if path is None or commanded is None or operation is None or not path.exhausted:
             return False
         left = np.linalg.norm(path.vertices[-1] - commanded[-1] * self.radius_m)
         return bool(operation[-1] >= path.operation[-1] and left <= _ARRIVED_M)

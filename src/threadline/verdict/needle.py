@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from threadline.base.arrays import FloatArray, IntArray
 from threadline.commands.plan import Motion, Plan
-from threadline.files import KeptStream
+from threadline.files import CachedStream
 from threadline.jobs.operations import (
     Feed,
     FeedMode,
@@ -101,7 +101,7 @@ class Stitches:
         return Stitches(**{field.name: getattr(self, field.name)[rows] for field in fields(self)})
 
 
-_FOUND: WeakKeyDictionary[Plan, KeptStream[Stitches]] = WeakKeyDictionary()
+_FOUND: WeakKeyDictionary[Plan, CachedStream[Stitches]] = WeakKeyDictionary()
 """Stitches of existing plans; the entries do not keep a plan alive."""
 
 
@@ -129,7 +129,7 @@ def planned_stitches(plan: Plan) -> Iterator[Stitches]:
     the times of the job, from before smoothing. The stitches of a short job are computed once,
     however many measures and runs read them.
     """
-    return iter(_FOUND.setdefault(plan, KeptStream(_found, plan.job, plan.motion)))
+    return iter(_FOUND.setdefault(plan, CachedStream(_found, plan.job, plan.motion)))
 
 
 def _found(job: Job, intended: Motion) -> Iterator[Stitches]:

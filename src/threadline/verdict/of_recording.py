@@ -106,8 +106,8 @@ class _Speed(_OfAxes):
             whole = np.concatenate([tail, values])
             self._tails[column] = whole[-self._span :]
             speed = np.abs(whole[self._span :] - whole[: -self._span]) / self._over_s
-            said = f"over {1e3 * self._over_s:.4g} ms, {ALLOWED_SHARE:.0%} over the limit allowed"
-            self.offer(column, speed, block, len(values) - len(speed), said)
+            note = f"over {1e3 * self._over_s:.4g} ms, {ALLOWED_SHARE:.0%} over the limit allowed"
+            self.offer(column, speed, block, len(values) - len(speed), note)
 
 
 def _start_reach(setting: Setting, options: Mapping[str, float]) -> Measure:  # noqa: ARG001

@@ -34,7 +34,7 @@ def _raster_of(job: WoundJob) -> Raster:
     return Raster(job.surface, job.width_m, begin, end, counting=False)
 
 
-class Covering:
+class CoverageGap:
     """The largest gap between the bands of each run."""
 
     def __init__(self, jobs: Sequence[WoundJob], axes: int) -> None:
@@ -79,11 +79,11 @@ class Covering:
         laid, unknown = self._laid[run]
         if not unknown > _FEW * laid:
             return ""
-        said = "may lie in the gap" if gap_m > 0.0 else "counts as no cover: the rest leaves no gap"
+        text = "may lie in the gap" if gap_m > 0.0 else "counts as no cover: the rest leaves no gap"
         from threadline.winding.raster import in_percent
 
         share = in_percent(unknown / laid)
-        return f"the place of {share} of the laid fibre is not known, and that fibre {said}"
+        return f"the place of {share} of the laid fibre is not known, and that fibre {text}"
 
 
 def middle_of(surface: Surface) -> float:
@@ -93,7 +93,7 @@ def middle_of(surface: Surface) -> float:
     return float(np.median(u[r > r.max() * (1.0 - 1e-9)]))
 
 
-class Closing:
+class PatternClosure:
     """How far a pattern is from its closure: where one more circuit would lie beside the first.
 
     A circuit begins where the fibre crosses the middle of the widest part from left to right.
@@ -148,15 +148,18 @@ class Closing:
                 operations.append(-1)
                 notes.append("")
                 continue
-            off = 2.0 * rows[-1, 0] - rows[-2, 0] - rows[0, 0]
-            whole, off = off, float(np.arctan2(np.sin(off), np.cos(off)))
-            away = abs(off) * self._radius_m[run] * abs(float(np.cos(rows[-1, 1])))
-            values.append(away)
+            angle_off = 2.0 * rows[-1, 0] - rows[-2, 0] - rows[0, 0]
+            unwrapped, angle_off = (
+                angle_off,
+                float(np.arctan2(np.sin(angle_off), np.cos(angle_off))),
+            )
+            distance_m = abs(angle_off) * self._radius_m[run] * abs(float(np.cos(rows[-1, 1])))
+            values.append(distance_m)
             operations.append(int(rows[-1, 2]))
-            bands = away / self._width_m[run]
+            bands = distance_m / self._width_m[run]
             notes.append(
                 f"after {len(rows)} circuits the next would lie {bands:.2f} bands beside the first"
-                + turn_error(off, whole, bands)
+                + turn_error(angle_off, unwrapped, bands)
             )
         self._worst.offer(
             np.array(values),

@@ -46,7 +46,7 @@ class _Place(NamedTuple):
     limit: float
 
 
-def _given_up(
+def _exceeds_ceiling(
     value: FloatArray, row: int, long: float, ceiling: float, dropped: FloatArray
 ) -> bool:
     """Return whether all values of a row exceed the ceiling; if so, lower ``dropped`` to them.
@@ -65,7 +65,7 @@ def _given_up(
     return True
 
 
-_given_up_fast = njit(nogil=True)(_given_up)
+_exceeds_ceiling_fast = njit(nogil=True)(_exceeds_ceiling)
 
 
 def _ahead(
@@ -312,7 +312,7 @@ def _advance(  # noqa: PLR0915 - one loop over the places; each call would be co
             row = (origin + low) % rows
             if near[row] and not raised:
                 break
-            if not _given_up_fast(value, row, length[low + 1], ceiling, dropped):
+            if not _exceeds_ceiling_fast(value, row, length[low + 1], ceiling, dropped):
                 break
             low += 1
     if skipped < np.inf:

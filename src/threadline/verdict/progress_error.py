@@ -175,7 +175,7 @@ class _Progress(SweptMeasure):
             return block.commanded, block.rests
         if self._planned is None:
             self._planned = TrajectoryReader(self._trajectory)
-        found = self._planned.ladder(block.due_s, 1)[:, 0, self._columns]
+        found = self._planned.derivatives(block.due_s, 1)[:, 0, self._columns]
         self._planned.drop(float(block.due_s[-1]))
         return found, found
 
@@ -206,7 +206,7 @@ class _Turns:
             part = ends[begin : begin + _AT_ONCE + 1]
             between = part[:-1, None] + np.diff(part)[:, None] * self._share
             times = np.append(between.ravel(), part[-1])
-            places = self._reader.ladder(times, 1)[:, 0, self._columns] * self._radius_m
+            places = self._reader.derivatives(times, 1)[:, 0, self._columns] * self._radius_m
             self._reader.drop(float(part[-1]))
             self.most_m = max(self.most_m, _deviation(places, len(self._share)))
 

@@ -24,7 +24,7 @@ from threadline.verdict.types import (
     Verdict,
 )
 
-_TOLD_SHARE = 10.0  # largest share of a limit that is shown as a figure
+_LARGEST_SHARE = 10.0  # largest share of a limit that is shown as a figure
 _NEARLY_ALL = 0.99  # above this share of a limit, and below all of it, a figure has a decimal
 _ROUNDING = 1e-11  # of a share
 HAPPENED = "What changed the motion"
@@ -188,7 +188,7 @@ def closing(verdict: Verdict) -> str:
         about = [level]
         if not verdict.answers and verdict.level is not Level.LIMITS:
             about.append(_unasked(verdict))
-        about += _not_kept(verdict)
+        about += _corner_jumps(verdict)
         if verdict.tightest is not None:
             about += _used_beside(verdict.tightest, verdict)
         about += _cuts(verdict)
@@ -320,8 +320,8 @@ def percent_used(share: float, digits: int = 0) -> str:
     >>> percent_used(10.0), percent_used(112137.9)
     ('1000 %', 'more than 1000 %')
     """
-    if share > _TOLD_SHARE:
-        return f"more than {100.0 * _TOLD_SHARE:.0f} %"
+    if share > _LARGEST_SHARE:
+        return f"more than {100.0 * _LARGEST_SHARE:.0f} %"
     if _NEARLY_ALL + _ROUNDING < share < 1.0 - _ROUNDING:
         digits = max(digits, 1)
     fine = 10.0**digits
@@ -333,7 +333,7 @@ _CORNERS_JUMP = (
 )
 
 
-def _not_kept(verdict: Verdict) -> list[str]:
+def _corner_jumps(verdict: Verdict) -> list[str]:
     """Return a line about limits of the machine that a plan need not keep; usually empty."""
     steps = any(r.hard and r.limit is None and VELOCITY_STEPS in r.note for r in verdict.results)
     if verdict.answers or not steps:

@@ -60,9 +60,9 @@ def start_repeatability(setting: Setting, options: Mapping[str, float]) -> Measu
     options
         ``recordings``: number of runs needed; fewer measure nothing.
     """
-    wanted = max(int(options["recordings"]), 2)
-    few = setting.runs < wanted
-    return _Spread(setting, f"needs {wanted} recordings, has {setting.runs}" if few else "")
+    least_count = max(int(options["recordings"]), 2)
+    few = setting.runs < least_count
+    return _Spread(setting, f"needs {least_count} recordings, has {setting.runs}" if few else "")
 
 
 def start_in_step(runs: Sequence[Setting], options: Mapping[str, float]) -> MeasureOfRuns:
@@ -78,8 +78,8 @@ def start_in_step(runs: Sequence[Setting], options: Mapping[str, float]) -> Meas
     options
         ``recordings``: number of runs needed.
     """
-    wanted, count = max(int(options["recordings"]), 2), sum(run.runs for run in runs)
-    few = f"needs {wanted} recordings, has {count}" if count < wanted else ""
+    least_count, count = max(int(options["recordings"]), 2), sum(run.runs for run in runs)
+    few = f"needs {least_count} recordings, has {count}" if count < least_count else ""
     return _InStep(len(runs), _Spread(runs[0], few), few)
 
 

@@ -55,7 +55,7 @@ def toleranced(product: Product) -> IntArray:
 def product_words(product: Product, parts: Mapping[str, float]) -> str:
     """Return the numbers of a product in words, with ``parts`` of their tolerances, by name."""
     own = (product.radius_error, product.at, product.width, product.slip, product.friction)
-    said = []
+    words = []
     for name, number in zip(NUMBERS, own, strict=True):
         value = number.si + parts.get(name, 0.0) * number.tolerance
         if name not in parts:
@@ -63,8 +63,8 @@ def product_words(product: Product, parts: Mapping[str, float]) -> str:
         turns = name == "mandrel.slip"
         unit = "" if name == "friction.value" else " deg" if turns else " mm"
         scale = 1.0 if not unit else 360.0 if turns else 1e3
-        said.append(f"{name} = {scale * value:.6g}{unit}")
-    return ", ".join(said)
+        words.append(f"{name} = {scale * value:.6g}{unit}")
+    return ", ".join(words)
 
 
 def product_at_random(index: IntArray) -> FloatArray:

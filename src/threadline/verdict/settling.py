@@ -248,7 +248,7 @@ def _farthest(
     points: FloatArray,
     span: int,
     samples: IntArray,
-    wanted: FloatArray,
+    set_speed: FloatArray,
     worst: FloatArray,
     at: IntArray,
 ) -> None:
@@ -260,7 +260,7 @@ def _farthest(
         (n + span, axes, runs); point i + span is compared with point i.
     samples
         The indices i to use.
-    wanted
+    set_speed
         (n,) expected distance.
     """
     _, axes, runs = points.shape
@@ -272,7 +272,7 @@ def _farthest(
                 step = points[i + span, a, r] - points[i, a, r]
                 squared[r] += step * step
         for r in range(runs):
-            away = abs(np.sqrt(squared[r]) / wanted[i] - 1.0)
+            away = abs(np.sqrt(squared[r]) / set_speed[i] - 1.0)
             larger = away > worst[r]
             worst[r] = away if larger else worst[r]
             at[r] = i if larger else at[r]
@@ -318,17 +318,17 @@ class _Ripple:
         if len(block) <= skipped:
             return
         begin, end = begin[skipped:], end[skipped:]
-        wanted = path.speed_m_s[begin]
+        set_speed = path.speed_m_s[begin]
         part = _part(path.vertices, path.speed_m_s)
-        free = (part[begin] == part[end]) & (wanted > 0) & ~held[skipped:]
-        if path.ended and block.commanded is not None:
+        free = (part[begin] == part[end]) & (set_speed > 0) & ~held[skipped:]
+        if path.exhausted and block.commanded is not None:
             # Once the command has arrived, no speed is expected any more.
             left = path.vertices[-1] - block.commanded[skipped:] * self._radius_m
-            free &= np.linalg.norm(left, axis=1) > _ARRIVED * wanted * self._interval_s
+            free &= np.linalg.norm(left, axis=1) > _ARRIVED * set_speed * self._interval_s
         if not free.any():
             return
         ripple, at = np.full(self._runs, -np.inf), np.zeros(self._runs, dtype=np.int64)
-        distance = wanted * (self._span * self._interval_s)
+        distance = set_speed * (self._span * self._interval_s)
         _farthest_fast(points, self._span, np.flatnonzero(free), distance, ripple, at)
         index = at + skipped
         self._worst.offer(

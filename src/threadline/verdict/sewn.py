@@ -32,10 +32,10 @@ class SewnClock:
         self._due_s: FloatArray = np.empty(0)
         self._slow_s: FloatArray = np.empty(0)  # samples before which the run was held
 
-    def take(self, block: Block, kept: IntArray) -> None:
-        """Take the samples ``kept`` of a block."""
-        self._time_s = np.concatenate([self._time_s, block.time_s[kept]])
-        self._due_s = np.concatenate([self._due_s, block.due_s[kept]])
+    def take(self, block: Block, used: IntArray) -> None:
+        """Take the samples ``used`` of a block."""
+        self._time_s = np.concatenate([self._time_s, block.time_s[used]])
+        self._due_s = np.concatenate([self._due_s, block.due_s[used]])
         if block.slow is not None:
             self._held = True
             self._slow_s = np.concatenate([self._slow_s, block.time_s[block.slow]])
@@ -159,7 +159,7 @@ class StitchFollower:
         self._over_s, self._figures = over_s, figures
         self._clock, self._begun_s = SewnClock(), np.full(_TO_SPEED, -np.inf)
         self._pending: list[Stitches] = []
-        self._ended = False
+        self._exhausted = False
         self._time_s: FloatArray = np.empty(0)
         self._points: FloatArray = np.empty((0, len(self._columns), setting.runs))
         self._bows, self._speeds_m_s = bows(setting), self._points
@@ -175,13 +175,13 @@ class StitchFollower:
         """Return the stitches, in groups, that are complete with the samples of a block."""
         time_s, actual = block.time_s, block.actual
         assert actual is not None
-        kept = self._kept(time_s)
-        self._clock.take(block, kept)
-        points = self._at_tool(actual[kept])
-        self._time_s = np.concatenate([self._time_s, time_s[kept]])
+        used = self._rows_used(time_s)
+        self._clock.take(block, used)
+        points = self._at_tool(actual[used])
+        self._time_s = np.concatenate([self._time_s, time_s[used]])
         self._points = np.concatenate([self._points, points])
         if self._bows and block.velocity is not None:
-            speeds = self._at_tool(block.velocity[kept])
+            speeds = self._at_tool(block.velocity[used])
             self._speeds_m_s = np.concatenate([self._speeds_m_s, speeds])
         sewn = []
         while True:
@@ -209,7 +209,7 @@ class StitchFollower:
         """Return (n, axes, runs) lengths at the tool of (n, runs, axes) values, axes of the job."""
         return np.asarray(lanes(values)[:, self._columns] * self._radius_m[self._columns, None])
 
-    def _kept(self, time_s: FloatArray) -> IntArray:
+    def _rows_used(self, time_s: FloatArray) -> IntArray:
         """Return the rows of a block to use: all of them, unless ticks are very short.
 
         A stitch may last a million ticks of a nanosecond: a fine part of the averaging time is
@@ -222,10 +222,10 @@ class StitchFollower:
         return rows if every < 2 else np.unique(np.append(rows[::every], rows[-1]))
 
     def _pull(self, runs: int) -> None:
-        while len(self._pending) < runs and not self._ended:
+        while len(self._pending) < runs and not self._exhausted:
             run = next(self._source, None)
             if run is None:
-                self._ended = True
+                self._exhausted = True
             else:
                 self._pending.append(run)
 
@@ -299,7 +299,7 @@ class StitchFollower:
         way = self._at(at_s) - self._at(at_s - over_s)
         # A stitch far below the resolution of the timing may take no time: its speed is infinite.
         with np.errstate(divide="ignore"):
-            wanted = (run.target_m / lasts_s)[stitch]
+            set_speed = (run.target_m / lasts_s)[stitch]
             if run.follows.any():
                 own = run.follows[stitch]
                 way_m = np.linalg.norm(run.point - run.from_point, axis=1)
@@ -308,9 +308,9 @@ class StitchFollower:
                 geared = share * self._geared_m_s(due_s, over_s[own])
                 # The planned speed falls to zero beside a rest, where stitches are exempt.
                 least = _SLOWEST * (run.target_m * run.fastest_hz)[stitch[own]]
-                wanted[own] = np.maximum(geared, least)
-            wanted = wanted[:, None]
-        error = np.sqrt((way**2).sum(axis=1)) / over_s[:, None] / wanted - 1.0
+                set_speed[own] = np.maximum(geared, least)
+            set_speed = set_speed[:, None]
+        error = np.sqrt((way**2).sum(axis=1)) / over_s[:, None] / set_speed - 1.0
         starts = np.minimum(np.searchsorted(stitch, np.arange(len(run))), len(stitch) - 1)
         sizes = np.abs(error)
         # The first sample of each stitch with its largest error.
@@ -332,7 +332,7 @@ class StitchFollower:
             return np.zeros(0)
         begin_s = time_s - over_s
         both, back = np.unique(np.concatenate([begin_s, time_s]), return_inverse=True)
-        at_m = self._geared.ladder(both, 1)[back, 0][:, self._columns]
+        at_m = self._geared.derivatives(both, 1)[back, 0][:, self._columns]
         self._geared.drop(float(begin_s[-1]) - self._over_s)
         way_m = (at_m[len(begin_s) :] - at_m[: len(begin_s)]) * self._radius_m[self._columns]
         return np.asarray(np.linalg.norm(way_m, axis=1) / over_s)

@@ -35,7 +35,7 @@ _FEWEST = 2  # recordings for a spread
 _MOST_LAG_S = 3600.0
 _LIMITS_NAME = "the limits of the machine file, which has no specification beside it"
 _ASSUMED_NAME = "0.5 mm off the path, assumed, and the limits of the machine file: no specification"
-_LIMITS_ALONE = f"""
+_LIMITS_ONLY_SPEC = f"""
 name = "{_LIMITS_NAME}"
 [[criteria]]
 name = "path_deviation"
@@ -114,7 +114,7 @@ def _default(machine: Machine) -> tuple[str, str]:
         here = Path() if file is None else file.parent
         file = here / base if base.endswith(".toml") else None
     if machine.without_dynamics:
-        return _LIMITS_ALONE, ""
+        return _LIMITS_ONLY_SPEC, ""
     return _ASSUMED_OF[machine.commanded_by], ""
 
 

@@ -274,9 +274,9 @@ class StitchRun:
         """Return which stitches were not seen; empty if all were."""
         if self._sewn is None:
             return ""
-        wanted, seen = len(self.turns), self._sewn.seen
-        if seen != wanted:
-            return f"the needle entered {seen} times, the design has {wanted} stitches"
+        planned_count, seen = len(self.turns), self._sewn.seen
+        if seen != planned_count:
+            return f"the needle entered {seen} times, the design has {planned_count} stitches"
         own = [c for c in self.recording.channels if c.axis in self.plan.axes or c.name == NEEDLE]
         lack = self._coverage.lack(own, 0.0, self._sewn.until_s)
         return "" if lack is None else lack.why
@@ -458,7 +458,7 @@ def _travel(stitched: Stitched) -> list[Finding]:
 def stitch_residual(run: StitchRun, _options: Mapping[str, float]) -> list[Finding]:
     """Per axis: the largest distance of the frame from its place while the needle is in, m."""
     sewn, pace = run.sewn, run.stitched.pace
-    alone_s = pace.needed_turns_s(run.stitched.turns.moves)[run.turns]
+    needed_s = pace.needed_turns_s(run.stitched.turns.moves)[run.turns]
     # A stitch is out if any axis is: a single needle enters.
     out = _out(np.asarray((sewn.residual_m > pace.tolerance_m).any(axis=1)), "stitches")
     found = []
@@ -469,7 +469,7 @@ def stitch_residual(run: StitchRun, _options: Mapping[str, float]) -> list[Findi
             # Counted against the planner's tolerance: a measure does not know its limit.
             note = (
                 f"{out} beyond {pace.tolerance_m * 1e3:.4g} mm on an axis; alone it can "
-                f"at {_speed(float(alone_s[int(np.nanargmax(residual))]))}"
+                f"at {_speed(float(needed_s[int(np.nanargmax(residual))]))}"
             )
             worst = replace(worst, note=f"{worst.note}; {note}")
         found.append(replace(worst, hidden=run.hidden(axis)))

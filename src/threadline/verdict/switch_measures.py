@@ -219,9 +219,9 @@ def repeatability(runs: Sequence[SwitchRun], options: Mapping[str, float]) -> Se
     Angles of a rotary cylinder count at its radius. Each run is read at its own instants, so a run
     that waited longer is compared at the end of the same move.
     """
-    wanted = max(int(options["recordings"]), 2)
-    if len(runs) < wanted:
-        return [Finding(value=None, note=f"needs {wanted} recordings, has {len(runs)}")]
+    least_count = max(int(options["recordings"]), 2)
+    if len(runs) < least_count:
+        return [Finding(value=None, note=f"needs {least_count} recordings, has {len(runs)}")]
     places = []
     for number, run in enumerate(runs, start=1):
         if not run.steps:

@@ -34,7 +34,7 @@ OPTIONS = {"over": Option(unit="s", default=0.002)}
 NEEDLE_OPTIONS = {"delay": Option(unit="s", default=0.0), **OPTIONS}
 _HIGH = 0.95  # of the set speed
 _MOVES = 0.02  # of the highest speed of a following needle: a slower head rests
-_KEPT_TURNS = 2.0 * TURNS + 8.0
+_WINDOW_TURNS = 2.0 * TURNS + 8.0
 
 
 class _Head:
@@ -143,7 +143,7 @@ class _ToSpeed:
         whole = [np.concatenate([tail, p]) for tail, p in zip(tails, points, strict=True)]
         self._tail = [p[-self._span :] for p in whole]
         speeds = [(p[self._span :] - p[: -self._span]) / self._over_s for p in whole]
-        rows, wanted, period_s, follows, sewn = self._set(block.due_s, speeds[1][:, :, 0])
+        rows, set_speed, period_s, follows, sewn = self._set(block.due_s, speeds[1][:, :, 0])
         meant, actual = (np.linalg.norm(v, axis=1) for v in speeds[::2])
         going = np.ones(len(block), dtype=np.bool_)
         if block.slow is not None:  # a hold is the operator's choice
@@ -152,13 +152,13 @@ class _ToSpeed:
         if kept.any():
             self._past.add(rows.rows(kept))
         # For a following needle the set speed is the commanded speed, while it moves at all.
-        geared = np.maximum(meant[:, 0], _MOVES * wanted)
-        wanted = np.where(follows, geared, wanted)
+        geared = np.maximum(meant[:, 0], _MOVES * set_speed)
+        set_speed = np.where(follows, geared, set_speed)
         at = np.flatnonzero(sewn & going)
         if len(at):
             self._turn_s = max(self._turn_s, float(period_s[at].max()))
-            self._take_heads(block, at, actual[at] / wanted[at, None])
-            self._take_command(block, at, meant[at, 0] / wanted[at], period_s[at], follows[at])
+            self._take_heads(block, at, actual[at] / set_speed[at, None])
+            self._take_command(block, at, meant[at, 0] / set_speed[at], period_s[at], follows[at])
         self._resolve(final=False)
 
     def finish(self) -> Sequence[RunFindings]:
@@ -180,7 +180,7 @@ class _ToSpeed:
             the set speed is its highest.
         """
         count, width = velocity.shape
-        wanted, period_s = np.ones(count), np.ones(count)
+        set_speed, period_s = np.ones(count), np.ones(count)
         follows = np.zeros(count, dtype=np.bool_)
         known = np.zeros(count, dtype=np.bool_)
         along, contour = np.zeros((count, width)), np.zeros(count, dtype=np.int64)
@@ -189,7 +189,7 @@ class _ToSpeed:
 
         def fill(run: Stitches, mine: NDArray[np.bool_], stitch: IntArray) -> None:
             speed = np.where(run.follows, run.fastest_hz, 1.0 / run.period_s)
-            wanted[mine] = (run.target_m * speed)[stitch]
+            set_speed[mine] = (run.target_m * speed)[stitch]
             follows[mine] = run.follows[stitch]
             period_s[mine] = run.period_s[stitch]
             step = run.point - run.from_point
@@ -222,8 +222,8 @@ class _ToSpeed:
             self._number += len(run)
         rows = Rows(
             due_s=np.asarray(due_s),
-            velocity=velocity / wanted[:, None],
-            grain=self._count_m / self._over_s / wanted[:, None],
+            velocity=velocity / set_speed[:, None],
+            grain=self._count_m / self._over_s / set_speed[:, None],
             along=along,
             stitch=number,
             contour=contour,
@@ -232,7 +232,7 @@ class _ToSpeed:
             first=first,
             rest_s=rest_s,
         )
-        return rows, wanted, period_s, follows, sewn
+        return rows, set_speed, period_s, follows, sewn
 
     def _take_heads(self, block: Block, at: IntArray, actual: FloatArray) -> None:
         """Find where (n, runs) relative speeds of the heads pass 95 %."""
@@ -317,7 +317,7 @@ class _ToSpeed:
             # Once the stop before a rest is counted, only the end of the rest matters.
             if not dip.stopped or dip.rise is not None:
                 oldest_s = min(oldest_s, dip.begin_s)
-        keep_s = oldest_s - _KEPT_TURNS * self._turn_s
+        keep_s = oldest_s - _WINDOW_TURNS * self._turn_s
         self._past.drop(keep_s)
         for head in self._heads:
             head.drop(keep_s)

@@ -54,7 +54,7 @@ def _blocks(
             first = block.first_tick[channel.clock.name]
             time_s = channel.clock.times_s(first, len(samples[name]), channel.stride)
             due_s, _ = clocks[name].at(time_s)
-            samples[name] = readers[name].ladder(due_s, 1)[:, 0, column]
+            samples[name] = readers[name].derivatives(due_s, 1)[:, 0, column]
             readers[name].drop(float(due_s[-1]))
         yield replace(block, samples=samples)
 

@@ -385,9 +385,9 @@ class Verdict:
         The machine's own limits do not count, since a plan is made to use them. Of equal shares
         the first counts.
         """
-        held = [r for r in self.results if r.limit and r.measured is not None and not r.hard]
-        most = max(map(_share, held), default=0.0) * (1.0 - EQUAL_SHARES)
-        return next((result for result in held if _share(result) >= most), None)
+        limited = [r for r in self.results if r.limit and r.measured is not None and not r.hard]
+        most = max(map(_share, limited), default=0.0) * (1.0 - EQUAL_SHARES)
+        return next((result for result in limited if _share(result) >= most), None)
 
     @property
     def near(self) -> bool:

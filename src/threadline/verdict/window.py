@@ -66,7 +66,7 @@ class PathWindow:
         As in the path.
     first
         Number of the first vertex since the start of the path.
-    ended
+    exhausted
         Whether the last vertex of the path is among them.
     """
 
@@ -85,7 +85,7 @@ class PathWindow:
         self._part_operation: IntArray = np.empty(0, dtype=np.int64)
         self._part_line: IntArray = np.empty(0, dtype=np.int64)
         self.first = 0
-        self.ended = False
+        self.exhausted = False
         self._remainder: Remainder | None = None
 
     def __len__(self) -> int:
@@ -98,7 +98,7 @@ class PathWindow:
 
     def reach(self, latest: int) -> None:
         """Read on until every chord of the operation ``latest``, and one more, is held."""
-        while not self.ended and (not len(self) or self.operation[-1] <= latest):
+        while not self.exhausted and (not len(self) or self.operation[-1] <= latest):
             self._extend()
 
     def drop(self, chord: int) -> None:
@@ -179,7 +179,7 @@ class PathWindow:
             (axes, runs) position of the machine, lengths at the tool; NaN for an axis that was not
             recorded, which is then ignored.
         """
-        if self.ended:
+        if self.exhausted:
             return self._remainder
         worst: Remainder | None = None
         for block in self._source:
@@ -193,14 +193,14 @@ class PathWindow:
                 block.vertices[-1],
             )
             worst = found if worst is None else _farther(worst, found)
-        self.ended = True
+        self.exhausted = True
         self._remainder = worst
         return worst
 
     def _extend(self) -> None:
         block = next(self._source, None)
         if block is None:
-            self.ended = True
+            self.exhausted = True
             if self.first + len(self) == 1:  # a job without motion: a chord from start to start
                 self.vertices = np.repeat(self.vertices, 2, axis=0)
                 self.begun = np.repeat(self.begun, 2)
@@ -235,13 +235,13 @@ class _Pieces(NamedTuple):
     """Consecutive pieces of a trajectory, p of them: polynomials in the share of their duration.
 
     ``coefficients`` is (p, order, axes), lowest power first; ``start_s`` and ``duration_s`` are
-    (p,). ``ended`` says that the trajectory has no later piece.
+    (p,). ``exhausted`` says that the trajectory has no later piece.
     """
 
     coefficients: FloatArray
     start_s: FloatArray
     duration_s: FloatArray
-    ended: bool
+    exhausted: bool
 
 
 class TrajectoryFollower:
@@ -267,7 +267,7 @@ class TrajectoryFollower:
         self._blocks: Iterator[TrajectoryBlock] = iter(blocks)
         self._columns, self._radius = columns, radius
         none = np.empty(0)
-        self._pieces = _Pieces(np.empty((0, 1, len(columns))), none, none, ended=False)
+        self._pieces = _Pieces(np.empty((0, 1, len(columns))), none, none, exhausted=False)
         self._point = np.asarray(start, dtype=np.float64)
         self._read()
         start_s = self._pieces.start_s
@@ -293,10 +293,10 @@ class TrajectoryFollower:
             done = len(points)
         self.time_s, self._point = float(out[done - 1]), points[done - 1]
         # The previous piece stays: a minimum at a joint is at its end.
-        coefficients, start_s, duration_s, ended = self._pieces
+        coefficients, start_s, duration_s, exhausted = self._pieces
         first = int(np.searchsorted(start_s, self.time_s, side="right")) - 2
         kept = slice(max(first, 0), None)
-        self._pieces = _Pieces(coefficients[kept], start_s[kept], duration_s[kept], ended)
+        self._pieces = _Pieces(coefficients[kept], start_s[kept], duration_s[kept], exhausted)
         return out[:done]
 
     def _read(self) -> None:
@@ -304,7 +304,7 @@ class TrajectoryFollower:
         block = next(self._blocks, None)
         held = self._pieces
         if block is None:
-            self._pieces = held._replace(ended=True)
+            self._pieces = held._replace(exhausted=True)
             return
         fresh = block.coefficients[:, :, self._columns] * self._radius
         known = held.coefficients
@@ -314,7 +314,7 @@ class TrajectoryFollower:
             np.concatenate(list(both)),
             np.concatenate([held.start_s, block.start_s]),
             np.concatenate([held.duration_s, block.duration_s]),
-            ended=False,
+            exhausted=False,
         )
 
 
@@ -387,7 +387,7 @@ def _find(pieces, piece, t, point, reach, state, to):  # type: ignore[no-untyped
     ``reach`` is the distance from the point before, and the path on which to look for a nearer
     minimum. ``state`` and ``to``, (2, axes), are work arrays for positions and velocities.
     """
-    _, start, duration, ended = pieces
+    _, start, duration, exhausted = pieces
     _evaluate(pieces, piece, t, state)
     nears = _nears(state, point)
     travelled, least, found_s, found = 0.0, np.inf, t, piece
@@ -399,7 +399,7 @@ def _find(pieces, piece, t, point, reach, state, to):  # type: ignore[no-untyped
             piece += 1
             then = start[piece]
             _evaluate(pieces, piece, then, to)
-        elif not ended:
+        elif not exhausted:
             return t, -1
         elif nears < 0.0 and _gap(state[0], point) < least:
             return end, piece

@@ -130,7 +130,7 @@ class Clearance:
         surface: Surface,
         rings: Sequence[Ring],
         tool: Tool,
-        wanted_m: float,
+        distance_m: float,
         layer_m2: float = 0.0,
         width_m: float = 0.0,
     ) -> None:
@@ -138,7 +138,7 @@ class Clearance:
         self._names = ("the mandrel", *(ring.name for ring in rings))
         self._rings = np.array([[r.begin_m, r.end_m, r.radius_m] for r in rings]).reshape(-1, 3)
         body, (arm, reach) = tool.body_m, tool.arm_m
-        self._sizes = np.array([body, arm, reach, wanted_m])
+        self._sizes = np.array([body, arm, reach, distance_m])
         self._payout = np.array([*tool.payout_m, *tool.roller_m, 0.0, 1.0, 0.0])
         self._edges = np.linspace(0.0, surface.length_m, _CELLS + 1)
         self._wide = max(round(width_m / self._edges[1]), 1)

@@ -72,8 +72,8 @@ def main() -> None:
     asked = parser.parse_args()
     begin = (lambda: Compiled(asked.compiled)) if asked.compiled else controller
     counts = Counter(breaks(begin, asked.cases, asked.seed))
-    told = ", ".join(f"{counts[kind]} by {kind}" for kind in KINDS)
-    print(f"{sum(counts.values())} breaks ({told}): no output left on")
+    summary = ", ".join(f"{counts[kind]} by {kind}" for kind in KINDS)
+    print(f"{sum(counts.values())} breaks ({summary}): no output left on")
 
 
 if __name__ == "__main__":

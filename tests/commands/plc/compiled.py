@@ -51,7 +51,7 @@ int homed(void) { return CPU__MACHINE.SEQUENCE.HOMED.value; }
 """
 
 
-class _Told:
+class _Sequence:
     """Texts of the block, looked up in the compiled one."""
 
     def __init__(self, plc: Compiled) -> None:
@@ -87,7 +87,7 @@ class Compiled(Plc):
         self._size, self._where = self.library.state_size(), self.library.state()
         self._mine = ctypes.string_at(self._where, self._size)
         self._latest = {name: 0 for name in self._at}
-        self.instance: Any = _Of({"sequence": _Of(_Told(self))})
+        self.instance: Any = _Of({"sequence": _Of(_Sequence(self))})
 
     def show(self) -> None:
         """Put the state of this copy into the library."""
@@ -109,7 +109,7 @@ class Compiled(Plc):
         twin = object.__new__(Compiled)
         twin.__dict__.update(self.__dict__)
         twin._latest = dict(self._latest)
-        twin.instance = _Of({"sequence": _Of(_Told(twin))})
+        twin.instance = _Of({"sequence": _Of(_Sequence(twin))})
         return twin
 
 

@@ -25,9 +25,9 @@ class Ton:
             return
         if self.since is None:
             self.since = now
-        elapsed, wanted = now - self.since, v["pt"]
-        v["q"] = over = elapsed >= wanted
-        v["et"] = wanted if over else elapsed
+        elapsed, expected = now - self.since, v["pt"]
+        v["q"] = over = elapsed >= expected
+        v["et"] = expected if over else elapsed
 
     def fork(self) -> Ton:
         twin = Ton.__new__(Ton)

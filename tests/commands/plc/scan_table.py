@@ -16,9 +16,9 @@ def switching_error_ms(machine: str, period: int, jitter: float, seed: int) -> f
     stroke = [(t, state) for t, state in trace if "x_right" in state]
     begin = stroke[0][0]
     end = next(t for t, state in trace if t > begin and "x_right" not in state)
-    wanted = (ZV_MS, ACROSS_MS, ACROSS_MS + ZV_MS)
+    expected = (ZV_MS, ACROSS_MS, ACROSS_MS + ZV_MS)
     found = (stroke[1][0], stroke[2][0], end)
-    return max(abs((t - begin) / 1000 - w) for t, w in zip(found, wanted, strict=True))
+    return max(abs((t - begin) / 1000 - w) for t, w in zip(found, expected, strict=True))
 
 
 def main() -> None:

@@ -91,15 +91,15 @@ def main() -> None:
     rows: dict[tuple[str, str], dict[str, list[str]]] = {}
     for case in every_case():
         key = case.contact, "on" if case.value else "off"
-        told = "cycle ends" if case.finished else f"{case.text} ({case.stopped_in}"
-        told += "" if case.finished else f", {case.named})"
-        steps = rows.setdefault(key, {}).setdefault(told, [])
+        line = "cycle ends" if case.finished else f"{case.text} ({case.stopped_in}"
+        line += "" if case.finished else f", {case.named})"
+        steps = rows.setdefault(key, {}).setdefault(line, [])
         if case.step not in steps:
             steps.append(case.step)
     print("| stuck | from step | what the program tells (where it stops, contact) |")
     print("|---|---|---|")
-    for (contact, value), told in rows.items():
-        for text, steps in told.items():
+    for (contact, value), line in rows.items():
+        for text, steps in line.items():
             print(f"| {contact} {value} | {', '.join(steps)} | {text} |")
 
 

@@ -56,7 +56,7 @@ def test_comments_call_inputs_and_outputs_as_the_program_does(tmp_path: Path) ->
     job = read_job(tmp_path / "list.toml", machine)
     write(plan_job(job, machine, Options()), "st", tmp_path / "own.st")
     comments = re.findall(r"\(\*.*?\*\)", (tmp_path / "own.st").read_text(encoding="ascii"))
-    told = " ".join(comments)
-    assert "if_signal was on" in told
-    assert "fault_code_2" in told
-    assert not re.search(r"\bif (was|must|is)\b|\bfault_code\b", told)
+    message = " ".join(comments)
+    assert "if_signal was on" in message
+    assert "fault_code_2" in message
+    assert not re.search(r"\bif (was|must|is)\b|\bfault_code\b", message)

@@ -37,9 +37,9 @@ def test_openplc_itself_runs_what_the_text_says(tmp_path: Path) -> None:
     """Its C equals blark's reading of the text: outputs at each scan, in homing and one cycle."""
     if "THREADLINE_IEC2C" not in os.environ:
         pytest.skip(f"{NO_FIRMWARE}THREADLINE_IEC2C names the folder of iec2c in OpenPLC's matiec")
-    said = through_iec2c(emitted("letter-placer", "zv", "openplc")["st"], tmp_path)
-    assert "warning" not in said.lower() and "error" not in said.lower(), said
-    assert {file for file in MADE if (tmp_path / file).is_file()} == set(MADE), said
+    message = through_iec2c(emitted("letter-placer", "zv", "openplc")["st"], tmp_path)
+    assert "warning" not in message.lower() and "error" not in message.lower(), message
+    assert {file for file in MADE if (tmp_path / file).is_file()} == set(MADE), message
     glue = GLUE
     for there, here in AS_HERE:
         glue = glue.replace(there, here)

@@ -51,8 +51,8 @@ def test_switchings_are_within_half_a_scan_of_the_shaper(
     end = next(t for t, s in trace if t > begin and "x_right" not in s)
     times = [(t - begin) / 1000 for t in (stroke[1][0], stroke[2][0], end)]
     allowed = (1.0 + 2 * jitter) * period / 1000
-    for found, wanted in zip(times, (ZV_MS, ACROSS_MS, ACROSS_MS + ZV_MS), strict=True):
-        assert abs(found - wanted) <= allowed + 1e-9
+    for found, expected in zip(times, (ZV_MS, ACROSS_MS, ACROSS_MS + ZV_MS), strict=True):
+        assert abs(found - expected) <= allowed + 1e-9
 
 
 def test_cycle_does_its_seven_steps_in_order() -> None:

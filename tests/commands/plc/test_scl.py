@@ -81,14 +81,14 @@ def test_the_tables_for_a_panel_hold_every_alarm_and_every_variable_without_an_a
     assert alarms[0] == "ID,Alarm text,Trigger variable"
     assert alarms[1:] == [f"{c},{message},letter_cycle_data.fault_code" for c, message in codes]
     tagged = {line.split(",")[0] for line in files["tags.csv"].decode("ascii").splitlines()[1:]}
-    wanted = []
+    expected = []
     for block, access in (("VAR_INPUT", "write"), ("VAR_OUTPUT", "read")):
         part = text[text.index(f"  {block}") :].partition("END_VAR")[0]
         for name, kind in re.findall(r"^    (\w+) : (\w+)", part, re.MULTILINE):
             if name not in tagged:
-                wanted.append(f"{name},{kind},{access},letter_cycle_data.{name}")
-    assert files["hmi.csv"].decode("ascii").splitlines()[1:] == wanted
-    assert "fault_text,String,read,letter_cycle_data.fault_text" in wanted
+                expected.append(f"{name},{kind},{access},letter_cycle_data.{name}")
+    assert files["hmi.csv"].decode("ascii").splitlines()[1:] == expected
+    assert "fault_text,String,read,letter_cycle_data.fault_text" in expected
 
 
 @pytest.mark.parametrize("jitter", [0.0, 0.2])

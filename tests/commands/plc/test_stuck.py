@@ -23,7 +23,7 @@ def healthy() -> dict[int, dict[str, set[bool]]]:
         read.append((bench.block["place"], bench.cell.contacts()))
         bench.scan()
     return {
-        place: {name: {said[name] for p, said in read if p >= place} for name in CONTACTS}
+        place: {name: {contacts[name] for p, contacts in read if p >= place} for name in CONTACTS}
         for place in {p for p, _ in read}
     }
 

@@ -180,8 +180,8 @@ def test_the_tables_in_xml_and_scl_have_the_same_values(tmp_path: Path) -> None:
         assert f"{name} : Array[0..{upper}] of " in table
         given = dict(re.findall(rf"^  {name}\[(\d+)\] := (.*);$", table, re.MULTILINE))
         default = {"BOOL": "FALSE", "INT": "0", "TIME": "T#0ms", "STRING": "''"}[array.type]
-        told = [literal(given.get(str(k), default)) for k in range(upper + 1)]
-        assert told == array.initial, name
+        literals = [literal(given.get(str(k), default)) for k in range(upper + 1)]
+        assert literals == array.initial, name
         assert not re.search(rf"(?<![\".\w]){name}\[", source[source.index("END_DATA_BLOCK") :])
         assert f'"long_table".{name}[' in source
 

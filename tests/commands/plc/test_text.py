@@ -107,19 +107,19 @@ def test_assignments_agree_with_their_types(shaper: str) -> None:
             target, source = line[0].lower(), line[1].strip()
             if target not in unit.declared or "." in source:
                 continue
-            wanted = unit.declared[target].type
+            expected = unit.declared[target].type
             if source in {"TRUE", "FALSE"}:
-                assert wanted == "BOOL", line
+                assert expected == "BOOL", line
             elif source.startswith("T#"):
-                assert wanted == "TIME", line
+                assert expected == "TIME", line
             elif source.isdigit():
-                assert wanted in {"INT", "DINT"}, line
+                assert expected in {"INT", "DINT"}, line
             elif source.startswith("'"):
-                assert wanted == "STRING", line
+                assert expected == "STRING", line
             elif source.lower() in unit.declared:
-                assert unit.declared[source.lower()].type == wanted, line
+                assert unit.declared[source.lower()].type == expected, line
             else:
-                assert wanted in values
+                assert expected in values
 
 
 @EVERY_SHAPER
@@ -172,8 +172,8 @@ def test_plcopen_project_holds_the_same_units(shaper: str) -> None:
     assert set(pous) == set(units)
     for name, unit in units.items():
         pou = pous[name]
-        wanted = {"FUNCTION_BLOCK": "functionBlock", "PROGRAM": "program"}[unit.kind]
-        assert pou.attrib["pouType"] == wanted
+        expected = {"FUNCTION_BLOCK": "functionBlock", "PROGRAM": "program"}[unit.kind]
+        assert pou.attrib["pouType"] == expected
         found = {}
         for variable in pou.iter(f"{PPX}variable"):
             (kind,) = variable.find(f"{PPX}type")  # type: ignore[misc]
@@ -228,10 +228,10 @@ def test_the_time_of_a_scan_is_told_and_a_long_list_takes_little_more(
     machine = load_machine("letter-placer")
     made = compile_schedule(read_job(file, machine), machine)
     for write in (write_structured_text, write_openplc):
-        told = write(made, tmp_path / "a.st")[0]
-        (fact,) = told.facts
+        warning = write(made, tmp_path / "a.st")[0]
+        (fact,) = warning.facts
         assert f"{(tmp_path / 'a.st').stat().st_size / 1e3:.0f} kB of text" in fact
-        assert not any("the program is large" in one for one in told.warnings)
+        assert not any("the program is large" in one for one in warning.warnings)
         text = (tmp_path / "a.st").read_text("ascii")
         body = text.partition("(* The watchdog")[2].partition("END_FUNCTION_BLOCK")[0]
         branch = re.compile(r"^ *(?:IF|ELSIF|WHILE) ", re.MULTILINE)

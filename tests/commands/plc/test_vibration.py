@@ -61,12 +61,12 @@ def drive(plc: Plc, period: int, jitter: float, flows: tuple[float, float], seed
             now, x[6] = at, value
         x = ahead(x, then - now) if moved else x
         now = then
-        wanted = ("x_right" in on) * (
+        expected = ("x_right" in on) * (
             flows[0] * ("x_right_a1" in on) + flows[1] * ("x_right_a2" in on)
         )
-        if wanted != level:
-            pending.append((now + DELAY_US, wanted))
-            level, moved = wanted, moved or now
+        if expected != level:
+            pending.append((now + DELAY_US, expected))
+            level, moved = expected, moved or now
         if moved and now > moved + 1_400_000:
             break
     assert moved

@@ -62,11 +62,11 @@ def main() -> None:
         made = drawn(seed)
         made.until_idle()
         if not made.block["finished"]:
-            told = f"{made.block['fault_text']} ({made.block['contact_text']})"
-            faults[told] = faults.get(told, 0) + 1
+            fault = f"{made.block['fault_text']} ({made.block['contact_text']})"
+            faults[fault] = faults.get(fault, 0) + 1
     print(f"{sum(faults.values())} of {count} cycles end in a fault")
-    for told, number in faults.items():
-        print(f"{number}: {told}")
+    for fault, number in faults.items():
+        print(f"{number}: {fault}")
 
 
 if __name__ == "__main__":

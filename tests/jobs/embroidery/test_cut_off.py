@@ -59,11 +59,11 @@ def test_a_dst_that_lacks_only_its_end_mark_is_read_with_a_warning(
     file = tmp_path / "a.dst"
     file.write_bytes(content)
     whole = read_job(file, MACHINE)
-    assert not any("end is missing" in said for said in whole.warnings)
+    assert not any("end is missing" in warning for warning in whole.warnings)
     end = content.rindex(b"\x00\x00\xf3")
     file.write_bytes(content[:end] + fill)
     read = read_job(file, MACHINE)
-    assert any("the mark of its end is missing" in said for said in read.warnings)
+    assert any("the mark of its end is missing" in warning for warning in read.warnings)
     assert [str(item) for item in read] == [str(item) for item in whole]
     for less in (3, 6, 30):
         file.write_bytes(content[: end - less] + fill)
@@ -108,7 +108,7 @@ def test_a_real_hus_is_read_as_another_library_reads_it() -> None:
 
 
 @pytest.mark.parametrize(
-    ("at", "put", "said"),
+    ("at", "put", "message"),
     [
         (0, b"\x00\x00\x00\x00", "it begins with 0x00000000"),
         (4, b"\x00\x00\x00\x00", "0 records, at most 10000000"),
@@ -121,12 +121,12 @@ def test_a_real_hus_is_read_as_another_library_reads_it() -> None:
     ],
 )
 def test_a_hus_that_asks_for_more_than_it_has_is_refused_at_once(
-    at: int, put: bytes, said: str
+    at: int, put: bytes, message: str
 ) -> None:
     """With some of these the peer's reader would fill the memory."""
     content = bytearray(made.hus_seed())
     content[at : at + len(put)] = put
     begun = time.process_time()
-    with pytest.raises(JobError, match=said):
+    with pytest.raises(JobError, match=message):
         read_hus(bytes(content), WHERE)
     assert time.process_time() - begun < 1.0

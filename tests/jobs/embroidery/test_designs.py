@@ -61,8 +61,8 @@ def test_every_format_gives_the_same_places(suffix: str, tmp_path: Path) -> None
     file = tmp_path / f"a.{suffix}"
     pystitch.write(pattern, str(file))
     places = [(x, y) for x, y, number, _ in moves(read_job(file, MACHINE)) if number]
-    ways = [way for way in np.diff(places, axis=0).tolist() if way != [0.0, 0.0]]
-    assert ways == np.diff(STITCHES, axis=0).tolist()
+    displacements = [way for way in np.diff(places, axis=0).tolist() if way != [0.0, 0.0]]
+    assert displacements == np.diff(STITCHES, axis=0).tolist()
 
 
 def test_jumps_before_a_stitch_are_one_move(tmp_path: Path) -> None:
@@ -80,8 +80,8 @@ def test_a_run_without_a_stitch_is_travel_and_events_keep_their_place(tmp_path: 
     assert list(moves(job)) == [
         (0, 0, 1, 1), (5, 0, 2, 1), (35, 7, 0, 1), (38, 10, 3, 2), (47, 19, 0, 2),
     ]  # fmt: skip
-    told = [item.name if isinstance(item, ToolEvent) else type(item) for item in job]
-    assert told == [Move, Move, "trim", Move, "colour", Move, Move, Stop]
+    kinds = [item.name if isinstance(item, ToolEvent) else type(item) for item in job]
+    assert kinds == [Move, Move, "trim", Move, "colour", Move, Move, Stop]
     assert [item.source.line for item in job] == [1, 2, 3, 5, 5, 7, 9, 9]
 
 
@@ -93,7 +93,7 @@ def test_stitches_that_lead_nowhere_are_told(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "content", "said"),
+    ("name", "content", "message"),
     [
         ("a.exp", b"", "no stitch in the design"),
         ("a.exp", exp(jump(5, 5)), "no stitch in the design"),
@@ -106,9 +106,9 @@ def test_stitches_that_lead_nowhere_are_told(tmp_path: Path) -> None:
     ],
 )
 def test_file_without_a_design_is_refused_in_one_line(
-    name: str, content: bytes, said: str, tmp_path: Path
+    name: str, content: bytes, message: str, tmp_path: Path
 ) -> None:
-    with pytest.raises(JobError, match=said) as refused:
+    with pytest.raises(JobError, match=message) as refused:
         read(tmp_path, content, name)
     assert "\n" not in str(refused.value)
 
@@ -165,9 +165,9 @@ def test_a_long_stitch_is_sewn_alike_with_jumps_and_without(
         found = list(moves(job))[-5:]
         second = found[1] if asked != "split" else found[-4]
         origin = (second[0], second[1])
-        told = [((x - origin[0], y - origin[1]), n) for x, y, n, _ in found[-3:]]
-        assert told == parts
-        assert any("--long-stitches" in said for said in job.warnings) == (
+        last_stitches = [((x - origin[0], y - origin[1]), n) for x, y, n, _ in found[-3:]]
+        assert last_stitches == parts
+        assert any("--long-stitches" in warning for warning in job.warnings) == (
             suffix == "vp3" or asked == "split"
         )
 
@@ -179,8 +179,8 @@ def test_the_parts_of_a_long_stitch_are_short_enough_and_on_the_grid(tmp_path: P
         assert 0 in [number for *_, number, _ in moves(job)][1:]
         split = read_job(tmp_path / "a.exp", MACHINE, long_stitches="split")
         places = np.array([(0, 0), *((x, y) for x, y, *_ in moves(split))])
-        ways = np.abs(np.diff(places, axis=0)).max(axis=1)
-        assert ways.max() <= 165
+        displacements = np.abs(np.diff(places, axis=0)).max(axis=1)
+        assert displacements.max() <= 165
         assert np.array_equal(places, np.rint(places))
         assert tuple(places[-1]) == (2 + x, y)
         assert len(places) == 1 + 3 + -(-max(abs(x), abs(y)) // 165)
@@ -221,9 +221,9 @@ def test_real_designs_have_as_many_moves_as_were_counted(
 ) -> None:
     """Counted by hand from the records, for another study: moves after the first stitch."""
     sewn = [(x, y) for x, y, number, _ in moves(read_job(SAMPLES / name, MACHINE)) if number]
-    ways = np.abs(np.diff(sewn, axis=0)).max(axis=1)
-    assert len(ways) == count
-    assert ways.max() == longest
+    displacements = np.abs(np.diff(sewn, axis=0)).max(axis=1)
+    assert len(displacements) == count
+    assert displacements.max() == longest
 
 
 def test_the_order_of_the_axes_in_a_machine_file_changes_no_design(tmp_path: Path) -> None:

@@ -55,13 +55,13 @@ DESIGNS = st.lists(
 )
 
 
-def pattern_of(ways: list[Way]) -> tuple[pystitch.EmbPattern, list[tuple[int, int]]]:
+def pattern_of(moves: list[Way]) -> tuple[pystitch.EmbPattern, list[tuple[int, int]]]:
     """Return a pattern, and X and Y (up) of its stitches in 0.1 mm."""
     pattern = pystitch.EmbPattern()
     pattern.add_thread(pystitch.EmbThread(0xFF0000))
     x = y = 0
     places = []
-    for number, way in enumerate(ways):
+    for number, way in enumerate(moves):
         x, y = x + way.x, y + way.y
         if way.act != "stitch":
             pattern.add_stitch_absolute(pystitch.JUMP, x, -y)
@@ -92,14 +92,14 @@ def read_back(file: Path) -> list[tuple[float, float]]:
 
 @pytest.mark.parametrize("ending", list(WRITTEN))
 @settings(max_examples=25)
-@given(ways=DESIGNS)
+@given(moves=DESIGNS)
 def test_every_format_has_the_same_stitches(
-    ending: str, tmp_path_factory: pytest.TempPathFactory, ways: list[Way]
+    ending: str, tmp_path_factory: pytest.TempPathFactory, moves: list[Way]
 ) -> None:
     """pystitch's writer of VP3 truncates half units, so that all lengths are even there."""
     if ending == "vp3":
-        ways = [Way(act, 2 * x, 2 * y) for act, x, y in ways]
-    pattern, places = pattern_of(ways)
+        moves = [Way(act, 2 * x, 2 * y) for act, x, y in moves]
+    pattern, places = pattern_of(moves)
     file = tmp_path_factory.getbasetemp() / f"design{ending if '.' in ending else '.' + ending}"
     pystitch.write(pattern, str(file), dict(WRITTEN[ending]))
     assert once(read_back(file)) == once([(float(x), float(y)) for x, y in places])
@@ -200,9 +200,11 @@ def test_the_first_stitch_of_a_pes_is_not_lost(
     corner: bool, first: tuple[int, int], version: bytes
 ) -> None:
     """Writers begin with a jump from the corner, or with the first stitch, short or long."""
-    ways = [first, (60, 40), (40, -40), (-160, 5)]
-    places = [[sum(way[k] for way in ways[: end + 1]) for k in (0, 1)] for end in range(len(ways))]
-    records = b"".join(number(x) + number(y) for x, y in ways) + b"\xff"
+    moves = [first, (60, 40), (40, -40), (-160, 5)]
+    places = [
+        [sum(way[k] for way in moves[: end + 1]) for k in (0, 1)] for end in range(len(moves))
+    ]
+    records = b"".join(number(x) + number(y) for x, y in moves) + b"\xff"
     if corner:
         left, top = (min(place[k] for place in places) for k in (0, 1))
         records = number(-left, 0x10) + number(-top, 0x10) + records
@@ -226,7 +228,7 @@ def test_jumps_trims_and_colours_of_a_pes_keep_their_places() -> None:
 
 
 @pytest.mark.parametrize(
-    ("content", "said"),
+    ("content", "message"),
     [
         (b"#PES0001", "it is cut off at byte 8, in its header"),
         (b"not a design at all", "does not begin with #PES"),
@@ -238,8 +240,8 @@ def test_jumps_trims_and_colours_of_a_pes_keep_their_places() -> None:
         (pes(b"\x01\x01\xfe\xb0")[:554], "its records are cut off at byte 554"),
     ],
 )
-def test_malformed_pes_is_refused_with_the_byte(content: bytes, said: str) -> None:
-    with pytest.raises(JobError, match=said):
+def test_malformed_pes_is_refused_with_the_byte(content: bytes, message: str) -> None:
+    with pytest.raises(JobError, match=message):
         read_pes(content, Place("a.pes"))
 
 

@@ -69,8 +69,8 @@ def test_written_t15_reads_back_equal(tmp_path: Path) -> None:
     longest = replace(big.tables.longest, si=0.0171)
     big = replace(big, tables=replace(big.tables, longest=longest))
     stitches = [p for p in places(read_job(file, big)) if p[2]]
-    wanted = np.cumsum(units, axis=0)
-    expected = [tuple(wanted[k]) for k in range(500) if sewn[k]]
+    expected_values = np.cumsum(units, axis=0)
+    expected = [tuple(expected_values[k]) for k in range(500) if sewn[k]]
     assert [p[:2] for p in stitches] == expected
 
 
@@ -82,7 +82,7 @@ def test_the_example_as_a_card_is_the_same_design(examples: Path, tmp_path: Path
 
 
 @pytest.mark.parametrize(
-    ("content", "said"),
+    ("content", "message"),
     [
         (b"", "0 bytes"),
         (bytes(600), "its header says 0, 0, 0"),
@@ -99,11 +99,11 @@ def test_the_example_as_a_card_is_the_same_design(examples: Path, tmp_path: Path
     ],
 )
 def test_unknown_t15_code_is_refused_with_offset_and_byte(
-    content: bytes, said: str, tmp_path: Path
+    content: bytes, message: str, tmp_path: Path
 ) -> None:
     file = tmp_path / "a.t15"
     file.write_bytes(content)
-    with pytest.raises(JobError, match=said):
+    with pytest.raises(JobError, match=message):
         read_job(file, MACHINE)
 
 

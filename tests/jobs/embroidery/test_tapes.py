@@ -47,8 +47,8 @@ def compiled(file: Path, out: Path, machine=MACHINE) -> Path:
 def short_and_long(tmp_path: Path) -> Path:
     """Return a design of 30 short and 30 long stitches, farther along X than along Y."""
     numbers = np.random.default_rng(5)
-    ways = np.concatenate([numbers.integers(3, 12, (30, 2)), numbers.integers(40, 90, (30, 2))])
-    units = ways * np.where(np.arange(60) % 3 == 0, -1, 1)[:, None] + [[7, 0]]
+    moves = np.concatenate([numbers.integers(3, 12, (30, 2)), numbers.integers(40, 90, (30, 2))])
+    units = moves * np.where(np.arange(60) % 3 == 0, -1, 1)[:, None] + [[7, 0]]
     file = tmp_path / "short-and-long.dst"
     file.write_bytes(dst_bytes(units, np.ones(60, dtype=np.int64), {}, "x"))
     return file
@@ -76,12 +76,12 @@ def test_a_compiled_dst_reads_back_as_the_job_that_it_was(
 
 
 @given(st.lists(st.tuples(st.integers(-121, 121), st.integers(-121, 121)), min_size=1))
-def test_the_records_of_dst_are_those_of_another_writer(ways: list[tuple[int, int]]) -> None:
+def test_the_records_of_dst_are_those_of_another_writer(moves: list[tuple[int, int]]) -> None:
     """Each displacement can be written in one way only."""
     from pystitch.DstWriter import encode_record
 
-    content = dst_bytes(np.array(ways), np.ones(len(ways), dtype=np.int64), {}, "x")
-    theirs = b"".join(encode_record(x, -y, pystitch.STITCH) for x, y in ways)
+    content = dst_bytes(np.array(moves), np.ones(len(moves), dtype=np.int64), {}, "x")
+    theirs = b"".join(encode_record(x, -y, pystitch.STITCH) for x, y in moves)
     assert content[512:] == theirs + b"\x00\x00\xf3"
 
 
@@ -115,10 +115,10 @@ def test_the_marks_of_a_design_follow_its_planned_speeds(
         main(["compile", str(short_and_long), "-m", "schiffli-frame", "--target", "u01",
               "-o", str(out)])  # fmt: skip
     assert not left.value.code
-    said = capsys.readouterr().out
+    output = capsys.readouterr().out
     plan = plan_job(open_job(short_and_long, MACHINE, Options()), MACHINE, Options()).stitched
     slow, facts = two_speeds(plan.turns.turn_s)
-    assert facts[0] in said
+    assert facts[0] in output
     assert 0 < slow.sum() < len(slow)
     paces, now = [], False
     for item in items_of(read_job(out, MACHINE)):

@@ -162,15 +162,18 @@ def saved(folder: Path, document: "ezdxf.document.Drawing") -> bytes:
 
 
 @pytest.mark.parametrize(
-    ("units", "said"), [(0, "does not say its unit ($INSUNITS is 0)"), (99, "($INSUNITS is 99, ")]
+    ("units", "message"),
+    [(0, "does not say its unit ($INSUNITS is 0)"), (99, "($INSUNITS is 99, ")],
 )
-def test_a_dxf_without_a_known_unit(units: int, said: str, sewer: Machine, tmp_path: Path) -> None:
+def test_a_dxf_without_a_known_unit(
+    units: int, message: str, sewer: Machine, tmp_path: Path
+) -> None:
     document = ezdxf.new()
     document.header["$INSUNITS"] = units
     document.modelspace().add_line((0, 0), (40, 0))
     with pytest.raises(JobError) as caught:
         read(tmp_path, sewer, "made.dxf", saved(tmp_path, document))
-    assert said in str(caught.value)
+    assert message in str(caught.value)
 
 
 @pytest.mark.parametrize(

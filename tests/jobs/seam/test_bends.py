@@ -140,9 +140,9 @@ def test_seam_that_would_stay_unsewn_is_refused(sewer: Machine, tmp_path: Path) 
     data, _ = rounded(1.0, np.pi)
     with pytest.raises(JobError) as caught:
         sew(tmp_path, sewer, data, least_stitch="2 mm", stitch_length="3 mm")
-    said = str(caught.value)
-    assert "t.svg:1: seam" in said and "and would not be sewn" in said
-    assert "Lower least_stitch" in said
+    message = str(caught.value)
+    assert "t.svg:1: seam" in message and "and would not be sewn" in message
+    assert "Lower least_stitch" in message
 
 
 @pytest.mark.parametrize("needle", ["constant", "slowed"])

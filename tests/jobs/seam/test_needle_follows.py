@@ -211,7 +211,7 @@ def test_a_rest_before_a_seam_is_no_turn_of_the_needle(stitcher: Machine, tmp_pa
 
 
 @pytest.mark.parametrize(
-    ("settings", "said"),
+    ("settings", "message"),
     [
         ({"needle": "constant", "needle_slowest": "5 stitch/s"}, 'of needle = "follow"'),
         ({"needle": "follow", "needle_slowest": "90 stitch/s"}, "90 stitch/s, above needle_speed"),
@@ -220,7 +220,7 @@ def test_a_rest_before_a_seam_is_no_turn_of_the_needle(stitcher: Machine, tmp_pa
     ],
 )
 def test_bounds_that_cannot_be_are_refused(
-    stitcher: Machine, tmp_path: Path, settings: dict[str, str], said: str
+    stitcher: Machine, tmp_path: Path, settings: dict[str, str], message: str
 ) -> None:
     seam = tmp_path / "s.seam.toml"
     lines = "".join(f'{key} = "{value}"\n' for key, value in settings.items())
@@ -228,7 +228,7 @@ def test_bounds_that_cannot_be_are_refused(
     seam.write_text(own + lines + STRAIGHT)
     with pytest.raises(JobError, match=r"s\.seam\.toml:") as raised:
         read_seam(seam, stitcher)
-    assert said in str(raised.value)
+    assert message in str(raised.value)
 
 
 def test_needle_times_ramp_within_the_drive_limit(stitcher: Machine) -> None:

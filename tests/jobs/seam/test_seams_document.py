@@ -50,10 +50,10 @@ def test_defaults_and_choices_are_those_of_the_program() -> None:
         if setting.choices:
             assert cells[2] == f"`{getattr(plain, setting.field)}`"
         elif re.match(r"[\d.]+( |$)", cells[2]):
-            said = int(cells[2]) if setting.kind is int else cells[2]
-            if said == "0":  # of a length
-                said = "0 mm"
-            again = stitching({**GIVEN, key: said}, {}, Place("a.seam.toml"))
+            text = int(cells[2]) if setting.kind is int else cells[2]
+            if text == "0":  # of a length
+                text = "0 mm"
+            again = stitching({**GIVEN, key: text}, {}, Place("a.seam.toml"))
             assert getattr(again, setting.field) == pytest.approx(getattr(plain, setting.field))
         elif cells[2] == "refused":
             with pytest.raises(JobError, match=f"{key} is not given"):

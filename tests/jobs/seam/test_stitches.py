@@ -102,25 +102,25 @@ def test_slowed_needle_speeds_up_and_slows_down_as_told(
     time = float(tag(job, "needle_s")[at_corner])
     c = brentq(lambda c: corner_error_m(c, up, np.pi / 2, down) - 3e-4, 1e-3, 1.0)
     covered = v**2 / 2 / up + (v**2 - c**2) / 2 / down
-    wanted = v / up + (v - c) / down + (0.04 - covered) / v
-    assert c < v and time == pytest.approx(wanted, rel=1e-6)
+    expected = v / up + (v - c) / down + (0.04 - covered) / v
+    assert c < v and time == pytest.approx(expected, rel=1e-6)
 
 
 @given(st.floats(0.2e-3, 0.3), st.booleans(), st.booleans(), st.floats(1e-3, 4e-3))
 def test_lengths_fill_the_leg_and_keep_the_tolerance(
-    length: float, first: bool, last: bool, wanted: float
+    length: float, first: bool, last: bool, expected: float
 ) -> None:
     """On any leg, only the exempt stitches may be off by more than half the tolerance."""
-    settings = Stitching(stitch_length_m=wanted, needle_speed_hz=50.0)
-    a = settings.speed_m_s**2 / (2 * wanted)
+    settings = Stitching(stitch_length_m=expected, needle_speed_hz=50.0)
+    a = settings.speed_m_s**2 / (2 * expected)
     lengths = stitch_lengths(length, settings, Accelerations(a, a), (first, last))
 
     assert lengths.sum() == pytest.approx(length, rel=1e-12)
     assert (lengths > 0).all()
     middle = lengths[2:-2]
-    assert np.abs(middle / wanted - 1).max(initial=0.0) < 0.025 + 1e-9
+    assert np.abs(middle / expected - 1).max(initial=0.0) < 0.025 + 1e-9
     # Exempt stitches absorb the remainder; none grows beyond a stitch and a half.
-    assert lengths.max() < 1.5 * wanted
+    assert lengths.max() < 1.5 * expected
 
 
 @given(st.floats(1e-3, 0.3), st.floats(0.02, 50.0), st.sampled_from([(True, False), (True, True)]))
@@ -208,8 +208,8 @@ def test_slowed_needle_keeps_length_and_the_motor_its_acceleration(
     s = np.linspace(0, 0.1, 41)
     ramp = v**2 / (2 * a)
     clock = np.where(s < ramp, np.sqrt(2 * np.minimum(s, ramp) / a), v / a + (s - ramp) / v)
-    wanted = np.diff(np.concatenate([clock[:21], 2 * clock[20] - clock[:20][::-1]]))
-    assert times[:40] == pytest.approx(wanted, rel=1e-9)
+    expected = np.diff(np.concatenate([clock[:21], 2 * clock[20] - clock[:20][::-1]]))
+    assert times[:40] == pytest.approx(expected, rel=1e-9)
     assert times[:40].sum() == pytest.approx(0.1 / v + v / a, rel=1e-9)
     # Feed and clock are one: a move lasts what its feed says.
     feeds = np.array([op.feed.value for op in stitches(job)])

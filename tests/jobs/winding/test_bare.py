@@ -58,7 +58,7 @@ def test_the_layers_on_the_bare_mandrel_end_at_the_drawn_shape(
 
 
 @pytest.mark.parametrize(
-    ("band", "layers", "said"),
+    ("band", "layers", "message"),
     [
         (
             BAND.replace("2400", "9600"),
@@ -69,12 +69,12 @@ def test_the_layers_on_the_bare_mandrel_end_at_the_drawn_shape(
     ],
 )
 def test_impossible_bare_mandrel_is_refused_in_one_line(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], band: str, layers: str, said: str
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], band: str, layers: str, message: str
 ) -> None:
     file = tmp_path / "thick.wind.toml"
     file.write_text(MANDREL + band + layers, encoding="utf-8")
     code, out, err = run(capsys, file, "--bare", tmp_path / "bare.csv")
     assert (code, out) == (2, "")
     last = err.strip().splitlines()[-1]
-    assert said in last and "thick.wind.toml" in last
+    assert message in last and "thick.wind.toml" in last
     assert not (tmp_path / "bare.csv").exists()

@@ -135,7 +135,7 @@ pole = "right"
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
+    ("change", "message"),
     [
         (("[band]", DOME + "[band]"), "[[part]] 2 is a dome (hemisphere), and a .wind has"),
         (
@@ -151,14 +151,14 @@ pole = "right"
     ],
 )  # fmt: skip
 def test_fiberpath_export_refuses_values_that_the_format_cannot_hold(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], change: tuple[str, str], said: str
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], change: tuple[str, str], message: str
 ) -> None:
     text = (TUBE.format(left=50, right=50) + LAYERS).replace(*change)
     (tmp_path / "made.wind.toml").write_text(text)
     file = tmp_path / "new" / "made.wind"
     assert run("wind", tmp_path / "made.wind.toml", "--wind", file) == 2
     errors = capsys.readouterr().err.strip()
-    assert said in errors and "\n" not in errors
+    assert message in errors and "\n" not in errors
     assert not file.parent.exists()
 
 
@@ -173,7 +173,7 @@ def test_fiberpath_export_warns_of_values_without_a_place_in_the_format(
 
 
 @pytest.mark.parametrize(
-    ("row", "said"),
+    ("row", "message"),
     [
         ({"windType": "skip", "mandrelRotation": 90.0}, "layer 1: windType 'skip'"),
         ({"windType": "hoop", "terminal": True}, "layer 1: a terminal hoop layer"),
@@ -185,7 +185,7 @@ def test_fiberpath_export_warns_of_values_without_a_place_in_the_format(
     ],
 )
 def test_a_layer_that_is_not_wound_here_is_refused(
-    tmp_path: Path, row: dict[str, Any] | None, said: str
+    tmp_path: Path, row: dict[str, Any] | None, message: str
 ) -> None:
     content = {
         "mandrelParameters": {"diameter": 100.0, "windLength": 250.0},
@@ -193,5 +193,5 @@ def test_a_layer_that_is_not_wound_here_is_refused(
         "layers": [row],
     }
     (tmp_path / "bad.wind").write_text(json.dumps(content))
-    with pytest.raises(JobError, match=said):
+    with pytest.raises(JobError, match=message):
         read_layers(tmp_path / "bad.wind")

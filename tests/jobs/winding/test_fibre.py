@@ -268,8 +268,8 @@ def test_a_layer_keeps_the_volume_of_its_fibre(tmp_path: Path, layer: str) -> No
     r = float(one.circuit.surface.at(u)[1][0, 0])
     constant = one.circuit.constant_m
     if one.by == "friction" and abs(one.circuit.right.ratio) < 0.01:
-        wanted = 0.1 * math.cos(one.circuit.angle) / (r * math.sqrt(1.0 - (constant / r) ** 2))
-        assert spread.at(u)[0] / middle == pytest.approx(wanted, rel=0.02)
+        expected = 0.1 * math.cos(one.circuit.angle) / (r * math.sqrt(1.0 - (constant / r) ** 2))
+        assert spread.at(u)[0] / middle == pytest.approx(expected, rel=0.02)
 
 
 @pytest.mark.parametrize("side", [1, -1])
@@ -350,8 +350,8 @@ def test_a_cone_between_cylinders(tmp_path: Path) -> None:
     )
     assert one.circuit.left.radius_m == pytest.approx(0.04, abs=1e-12)
     # The foot of the cone is a hollow corner, which is reported before winding.
-    said = bridged(one)
-    assert said is not None and "bridges the hollow of the mandrel at 299" in said
+    message = bridged(one)
+    assert message is not None and "bridges the hollow of the mandrel at 299" in message
 
 
 def test_a_nose_cone_says_the_build_up_at_its_tip(tmp_path: Path) -> None:

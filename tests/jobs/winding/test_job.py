@@ -148,7 +148,7 @@ value = "0.25 +- 0.05"
 
 
 @pytest.mark.parametrize(
-    ("text", "said", "line"),
+    ("text", "expected_text", "line"),
     [
         (VESSEL, "no [[layer]]", 0),
         (f"layer = 3\n{VESSEL}", "layer must be a list of tables", 1),
@@ -179,12 +179,12 @@ value = "0.25 +- 0.05"
         (f'{VESSEL}[fibre]\ntied = "60 mm"\n[[layer]]\nturn = "20 mm"\n', "begins where it", 24),
     ],
 )  # fmt: skip
-def test_bad_input_is_one_line(tmp_path: Path, text: str, said: str, line: int) -> None:
+def test_bad_input_is_one_line(tmp_path: Path, text: str, expected_text: str, line: int) -> None:
     file = _written(tmp_path, text)
     with pytest.raises(InputError) as caught:
         read_job(file, WINDER)
     message = str(caught.value)
-    assert said in message
+    assert expected_text in message
     assert "\n" not in message
     assert "bad.wind.toml" in message
     if line:
@@ -197,7 +197,7 @@ SMALL = SMALL.replace("6 mm", "8 mm")
 
 
 @pytest.mark.parametrize(
-    ("layer", "said"),
+    ("layer", "message"),
     [
         ("circuits = 1\n", r"no pattern with 1 circuits closes\. .*circuits = \d+, shift = \d+, "),
         (
@@ -212,10 +212,10 @@ SMALL = SMALL.replace("6 mm", "8 mm")
         ),
     ],
 )
-def test_wishes_that_cannot_be_name_what_can(tmp_path: Path, layer: str, said: str) -> None:
+def test_wishes_that_cannot_be_name_what_can(tmp_path: Path, layer: str, message: str) -> None:
     text = f'{SMALL}[[layer]]\nturn = "20 mm"\n{layer}'
     file = _written(tmp_path, text)
-    with pytest.raises(JobError, match=said) as caught:
+    with pytest.raises(JobError, match=message) as caught:
         read_job(file, WINDER)
     near = re.search(r"circuits = (\d+), shift = (\d+)", str(caught.value))
     assert caught.value.place is not None and caught.value.place.line
@@ -271,8 +271,8 @@ def test_too_little_friction_says_how_much_would_do(tmp_path: Path) -> None:
     text = f'{TUBE}[coverage]\nbegin = "40 mm"\nend = "160 mm"\n[[layer]]\nangle = "55 deg"\n'
     with pytest.raises(JobError) as caught:
         read_job(_written(tmp_path, text), WINDER)
-    wanted = 0.05 / 0.04 * (1.0 / math.sin(math.radians(55.0)) - 1.0)
-    assert f"A ratio of {wanted:.3g} would turn it" in caught.value.remedy
+    expected = 0.05 / 0.04 * (1.0 / math.sin(math.radians(55.0)) - 1.0)
+    assert f"A ratio of {expected:.3g} would turn it" in caught.value.remedy
 
 
 def test_a_machine_without_an_eye_is_refused() -> None:
@@ -351,8 +351,8 @@ def test_a_mandrel_that_marlin_turns_as_a_rotary_axis_jumps(overlays: str, warne
     """
     machine = load_machine(f"stepper-winder+{overlays}")
     file = Path(__file__).parents[3] / "examples" / "tube.wind.toml"
-    said = " ".join(read_job(file, machine).warnings)
-    assert ("Marlin counts the speed of a move along X alone" in said) is warned
+    message = " ".join(read_job(file, machine).warnings)
+    assert ("Marlin counts the speed of a move along X alone" in message) is warned
     options = options_of(product=str(file))
     plan = plan_job(open_job(file, machine, options), machine, options)
     trajectory = plan.motion.trajectory
@@ -417,7 +417,7 @@ kind = "hoop"
 
 
 @pytest.mark.parametrize(
-    ("text", "line", "said"),
+    ("text", "line", "expected_text"),
     [
         (HOOPS_ON_HELICAL.format(thick=0.25), 19, "hoops do not lie on the layers below"),
         (HOOPS_ON_HELICAL.format(thick=2), 19, "no cylinder is left for a hoop layer"),
@@ -426,14 +426,14 @@ kind = "hoop"
     ],
 )
 def test_hoops_that_do_not_fit_name_file_and_line(
-    tmp_path: Path, text: str, line: int, said: str
+    tmp_path: Path, text: str, line: int, expected_text: str
 ) -> None:
     file = tmp_path / "p.wind.toml"
     file.write_text(text)
     with pytest.raises(JobError) as refused:
         read_job(file, load_machine("lathe-winder"))
     message = str(refused.value)
-    assert f"p.wind.toml:{line}: " in message and said in message
+    assert f"p.wind.toml:{line}: " in message and expected_text in message
     assert "\n" not in message
 
 
@@ -445,28 +445,31 @@ def test_layers_with_another_tension_than_the_brake_gives_are_named(tmp_path: Pa
     text = HOOPS_ON_HELICAL.format(thick=0.01).partition("[[layer]]")[0] + 3 * layer
     file.write_text(text + '[fibre]\ntension = "8.6 N"\ntaper = "10 %"\n')
     plain = read_job(file, load_machine("lathe-winder")).warnings
-    assert not [said for said in plain if "tension" in said]
+    assert not [warning for warning in plain if "tension" in warning]
     settable = load_machine("lathe-winder+spool")
     assert settable.spool is not None
     assert not [w for w in read_job(file, settable).warnings if "tension" in w]
     fixed = replace(settable, spool=replace(settable.spool, most_torque=None))
-    said = [w for w in read_job(file, fixed).warnings if "brake" in w]
-    assert [line.partition(": ")[0] for line in said] == ["p.wind.toml:16", "p.wind.toml:22"]
-    assert "layer 1 asks for a tension of 8.6 N" in said[0] and "gives 7.9 N" in said[0]
+    warnings = [w for w in read_job(file, fixed).warnings if "brake" in w]
+    assert [line.partition(": ")[0] for line in warnings] == ["p.wind.toml:16", "p.wind.toml:22"]
+    assert "layer 1 asks for a tension of 8.6 N" in warnings[0] and "gives 7.9 N" in warnings[0]
     # T r / (1 + friction), and the arm's part of the brake above the middle of its travel
-    assert "about 0.51 N m" in said[0] and "about 0.322 N m" in said[1]
+    assert "about 0.51 N m" in warnings[0] and "about 0.322 N m" in warnings[1]
 
 
 def test_a_tension_at_which_the_arm_lies_at_its_stop_is_told(tmp_path: Path) -> None:
     file = tmp_path / "p.wind.toml"
     text = (Path(__file__).parents[3] / "examples" / "vessel.wind.toml").read_text()
     file.write_text(text + 'tension = "4 N"\n')
-    (said,) = [w for w in read_job(file, load_machine("lathe-winder+spool")).warnings if "arm" in w]
-    assert "p.wind.toml:" in said
+    (warning,) = [
+        w for w in read_job(file, load_machine("lathe-winder+spool")).warnings if "arm" in w
+    ]
+    assert "p.wind.toml:" in warning
     assert (
-        "layer 1 asks for a tension of 4 N, at which the spring arm lies at its lower stop" in said
+        "layer 1 asks for a tension of 4 N, at which the spring arm lies at its lower stop"
+        in warning
     )
-    assert "free from 4.62 to 11.2 N" in said
+    assert "free from 4.62 to 11.2 N" in warning
 
 
 def test_the_mandrel_comes_to_rest_evenly() -> None:
@@ -487,8 +490,8 @@ def test_the_mandrel_comes_to_rest_evenly() -> None:
     nominal_s = np.interp(turns, [0.0, *usual[::-1]], [0.0, *usual_s[::-1]])
     slow = left_s < 0.5
     assert slow.sum() >= 20
-    wanted = 0.5 * left_s - 0.25 / math.pi * np.sin(2.0 * math.pi * left_s)
-    assert nominal_s[slow] == pytest.approx(wanted[slow], abs=2e-4)
+    expected = 0.5 * left_s - 0.25 / math.pi * np.sin(2.0 * math.pi * left_s)
+    assert nominal_s[slow] == pytest.approx(expected[slow], abs=2e-4)
     assert left_s[~slow] - nominal_s[~slow] == pytest.approx(0.25, abs=2e-3)
     assert np.diff(left_s[::-1])[: slow.sum() - 1].max() < 0.045
 

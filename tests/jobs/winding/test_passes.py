@@ -65,10 +65,10 @@ def test_one_circuit_and_its_passes_are_the_whole_motion(tmp_path: Path, dialect
     machine = load_machine("lathe-winder")
     job = read_job(product, machine)
     again = read_part_program(program, machine=machine, dialect=dialect)
-    wanted, found = _said(job), _said(again)
-    assert found[1] == wanted[1]
+    expected, found = _said(job), _said(again)
+    assert found[1] == expected[1]
     radius = np.array([0.1, 1.0, 1.0])  # m, at the mandrel and the eye beside it
-    off = (np.array(found[0]) - np.array(wanted[0])) * radius
+    off = (np.array(found[0]) - np.array(expected[0])) * radius
     assert np.abs(off).max() < 1e-5
     # Whole turns by G91 add up: the passes of a layer turn as far as the design.
     text = program.read_text().replace(" ", "").splitlines()
@@ -111,7 +111,7 @@ def test_the_layers_are_designed_once(
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("words", "message"),
     [
         (("-o", "a.prg"), "--out and --machine belong together"),
         (("-m", "lathe-winder"), "--out and --machine belong together"),
@@ -129,17 +129,17 @@ def test_passes_that_cannot_be_written_are_refused(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
     words: tuple[str, ...],
-    said: str,
+    message: str,
 ) -> None:
     monkeypatch.chdir(tmp_path)
     Path("tube.wind.toml").write_text(TUBE)
     assert run("wind", "tube.wind.toml", *words) == 2
-    assert said in capsys.readouterr().err
+    assert message in capsys.readouterr().err
     assert [path.name for path in tmp_path.iterdir()] == ["tube.wind.toml"]
 
 
 @pytest.mark.parametrize(
-    ("target", "said"),
+    ("target", "message"),
     [
         ("grbl", "grbl has no subprograms"),
         ("fluidnc", "FluidNC has no subprograms"),
@@ -154,14 +154,14 @@ def test_a_firmware_without_subprograms_is_named(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
     target: str,
-    said: str,
+    message: str,
 ) -> None:
     monkeypatch.chdir(tmp_path)
     Path("tube.wind.toml").write_text(TUBE)
     words = ("-m", "lathe-winder", "--target", target, "--passes", "-o", "a.out")
     assert run("compile", "tube.wind.toml", *words) == 2
     error = capsys.readouterr().err
-    assert said in error and "winder, linuxcnc and fanuc" in error
+    assert message in error and "winder, linuxcnc and fanuc" in error
     assert [path.name for path in tmp_path.iterdir()] == ["tube.wind.toml"]
 
 

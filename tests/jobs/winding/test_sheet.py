@@ -155,7 +155,7 @@ def test_thickness_and_tex_give_the_fibre_volume(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "said", "line"),
+    ("old", "new", "expected_text", "line"),
     [
         ("e-glass/epoxy", "e-glas/epoxy", "there is no fibre 'e-glas'", 22),
         ("e-glass/epoxy", "e-glass/honey", "there is no resin 'honey'", 22),
@@ -204,7 +204,7 @@ def test_thickness_and_tex_give_the_fibre_volume(tmp_path: Path) -> None:
     ],
 )  # fmt: skip
 def test_bad_materials_are_one_line(
-    tmp_path: Path, old: str, new: str, said: str, line: int
+    tmp_path: Path, old: str, new: str, expected_text: str, line: int
 ) -> None:
     text = MANDREL + BAND + LAYERS
     assert old in text
@@ -212,7 +212,7 @@ def test_bad_materials_are_one_line(
         winding, laid = wound(tmp_path, text.replace(old, new))
         sheet_of(winding, laid)
     message = str(caught.value)
-    assert said in message and "\n" not in message and caught.value.remedy
+    assert expected_text in message and "\n" not in message and caught.value.remedy
     assert caught.value.place is not None
     assert not line or caught.value.place.line == line
 

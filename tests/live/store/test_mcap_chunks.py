@@ -58,10 +58,10 @@ def test_a_long_run_takes_little_memory() -> None:
         for k in range(blocks):
             writer.write(k, b"data")
         gc.collect()
-        kept, _ = tracemalloc.get_traced_memory()
+        memory_before, _ = tracemalloc.get_traced_memory()
     finally:
         tracemalloc.stop()
-    assert kept < 40 * blocks
+    assert memory_before < 40 * blocks
 
 
 class _Nowhere(io.BufferedIOBase):

@@ -321,7 +321,7 @@ def test_a_run_without_samples_has_one_line_for_a_report(
         run.block(RecordingBlock(first_tick=first, samples=nothing, events=(stopped,)))
         run.over("stopped", "stopped while homing")
     name = run.path.name
-    for content, said in (
+    for content, message in (
         (None, f"run {name} ended before its first sample, stopped: stopped while homing"),
         (b"", f"run {name} ended before its first sample"),
         (b"\x89MC", "the trace ends before its first sample"),
@@ -333,7 +333,7 @@ def test_a_run_without_samples_has_one_line_for_a_report(
                 main(["report", name, "--store", str(tmp_path / "runs"), *more])
             output = capsys.readouterr()
             assert (left.value.code, output.out, output.err.count("\n")) == (2, "", 1), output.err
-            assert said in output.err
+            assert message in output.err
     assert not (tmp_path / "out.csv").exists()
 
 

@@ -99,9 +99,9 @@ def at_once(url: Any, **options: Any) -> Any:
 @pytest.mark.skipif(not Path("/proc/self/fd").is_dir(), reason="nothing says what is open")
 def test_the_index_is_open_while_it_is_used_alone(tmp_path: Path) -> None:
     """Python 3.13 warns if a database is dropped while it is open."""
-    kept = RunIndex(tmp_path / INDEX)
-    kept.add(record("first"))
-    assert [row.run for row in kept.runs()] == ["first"]
+    index = RunIndex(tmp_path / INDEX)
+    index.add(record("first"))
+    assert [row.run for row in index.runs()] == ["first"]
     still = [os.path.realpath(one) for one in Path("/proc/self/fd").iterdir()]
     assert str((tmp_path / INDEX).resolve()) not in still
 
@@ -122,7 +122,7 @@ def test_a_locked_index_is_one_line_before_anything_moves(
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("words", "message"),
     [
         (["report", "last", "--store", "STORE"], "there is no run 'last' in"),
         (["report", "last", "--store", "FILE"], "is no folder of runs"),
@@ -130,14 +130,14 @@ def test_a_locked_index_is_one_line_before_anything_moves(
     ],
 )
 def test_listing_runs_creates_no_store(
-    words: list[str], said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    words: list[str], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     file, folder = tmp_path / "file", tmp_path / "nowhere"
     file.write_text("not a store")
     with pytest.raises(SystemExit) as ended:
         main([{"STORE": str(folder), "FILE": str(file)}.get(word, word) for word in words])
     out, err = capsys.readouterr()
-    assert ended.value.code == 2 and out == "" and said in err
+    assert ended.value.code == 2 and out == "" and message in err
     assert not folder.exists() and file.read_text() == "not a store"
 
 

@@ -90,9 +90,9 @@ def test_few_rows_as_measured_ask_for_a_third_more_of_everything() -> None:
     assert raw is not None
     assert 36 <= raw.peaks[1] < 37
     assert (study.rise.start_found, study.rise.end_found) == (False, False)
-    said = " ".join(study.warnings)
+    message = " ".join(study.warnings)
     for part in ("at 5, 120, 125, 130 deg", "shows the true start", "shows the true end", "few"):
-        assert part in said
+        assert part in message
     with pytest.raises(OptionError, match="the noise cannot be estimated"):
         study_cam(read_cam(EXAMPLE, TRIANGLE))
     assert study.faired(Fairing.DIFFERENCES) is None  # the rows are not even
@@ -194,7 +194,7 @@ def test_an_end_that_is_given_has_no_interval_and_helps_the_other(tmp_path: Path
     cam = synthetic(tmp_path, 3, "4-5-6-7")
     study = study_cam(cam, noise_m=NOISE, rise_rad=(math.radians(START), None), draws=2)
     assert study.rise.start_rad == math.radians(START) and study.rise.start_within_rad is None
-    assert "as given" in study.rise.said[0] and "at 90 %" in study.rise.said[1]
+    assert "as given" in study.rise.sentences[0] and "at 90 %" in study.rise.sentences[1]
     assert math.degrees(study.rise.end_rad) == pytest.approx(END, abs=0.5)
     assert study.law.acceleration == pytest.approx(law("4-5-6-7").acceleration, rel=0.05)
 
@@ -241,8 +241,8 @@ def test_an_outlier_is_shown_and_kept(tmp_path: Path) -> None:
     file.write_text("\n".join(lines))
     study = study_cam(read_cam(file, TRIANGLE))
     assert [cam.lines[row] for row in study.outliers] == [62]
-    assert any(said.startswith("1 row lies more") for said in study.warnings)
-    assert any("at 60 deg; kept" in said for said in study.warnings)
+    assert any(warning.startswith("1 row lies more") for warning in study.warnings)
+    assert any("at 60 deg; kept" in warning for warning in study.warnings)
     assert len(study.cam.h_m) == len(cam.h_m)
 
 
@@ -284,7 +284,7 @@ def test_the_rebound_stops_at_the_noise_and_warns_of_epsilon(tmp_path: Path) -> 
     assert over.moved > 3e-5
     study = study_cam(synthetic(tmp_path, 2), epsilon_m=1e-7, most_passes=100_000)
     assert study.rebounded.stopped_by == "epsilon"
-    assert any("epsilon alone flattens the cam" in said for said in study.warnings)
+    assert any("epsilon alone flattens the cam" in warning for warning in study.warnings)
 
 
 def test_differences_leave_a_cubic_alone_and_move_by_twice_the_noise_at_most() -> None:
@@ -370,7 +370,7 @@ GOOD = [f"{a},{89 + 0.3 * a}" for a in range(0, 120, 5)]
 
 
 @pytest.mark.parametrize(
-    ("text", "arguments", "said"),
+    ("text", "arguments", "message"),
     [
         (rows(*GOOD[:5], GOOD[4], *GOOD[5:]), SIDES, "bad.csv:7: cam: the angle 20 deg repeats"),
         (rows(*GOOD[:5], GOOD[3], *GOOD[5:]), SIDES, "bad.csv:7: cam: the angle 15 deg falls"),
@@ -396,14 +396,14 @@ GOOD = [f"{a},{89 + 0.3 * a}" for a in range(0, 120, 5)]
     ],
 )
 def test_wrong_input_is_one_line(
-    text: str, arguments: tuple[str, ...], said: str, tmp_path: Path,
+    text: str, arguments: tuple[str, ...], message: str, tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
 ) -> None:  # fmt: skip
     file = tmp_path / "bad.csv"
     file.write_text(text)
     code, out, err = ran(capsys, str(file), *arguments)
     assert (code, out) == (2, "")
-    assert said in err and err.count("\n") == 1
+    assert message in err and err.count("\n") == 1
 
 
 def dwelling(alpha_deg: np.ndarray) -> np.ndarray:

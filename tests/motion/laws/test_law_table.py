@@ -40,7 +40,7 @@ def test_time_and_rise_have_any_scale(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message"),
     [
         ("t,s\n0,0\n0.5,0.5\n0.5,0.6\n1,1\n", "bad.csv:4: motion law: time 0.5 follows 0.5"),
         ("t,s\n0,0\n1,x\n", "bad.csv:3: motion law: '1,x' is not a row"),
@@ -54,10 +54,10 @@ def test_time_and_rise_have_any_scale(tmp_path: Path) -> None:
         ("t,s,v,a\n0,0,1,0\n1,0.5,1,0\n2,1,1,0\n", "velocity must be 0"),
     ],
 )
-def test_table_without_a_law_is_refused(text: str, said: str, tmp_path: Path) -> None:
+def test_table_without_a_law_is_refused(text: str, message: str, tmp_path: Path) -> None:
     file = tmp_path / "bad.csv"
     file.write_text(text)
-    with pytest.raises(OptionError, match=said.replace("(", r"\(")):
+    with pytest.raises(OptionError, match=message.replace("(", r"\(")):
         read_law(file)
     with pytest.raises(OptionError, match="cannot read"):
         read_law(tmp_path / "none.csv")

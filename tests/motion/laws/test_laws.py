@@ -216,7 +216,7 @@ def test_a_law_that_goes_back_has_no_inverse():
 
 
 @pytest.mark.parametrize(
-    ("name", "said"),
+    ("name", "message"),
     [
         ("trapezoid:0.7", "ramp must be in"),
         ("trapezoid:0.1,0.2", "it takes one number"),
@@ -236,8 +236,8 @@ def test_a_law_that_goes_back_has_no_inverse():
         ("spline:3", "unknown motion law"),
     ],
 )
-def test_wrong_numbers_of_a_family_are_refused(name, said):
-    with pytest.raises(OptionError, match=said):
+def test_wrong_numbers_of_a_family_are_refused(name, message):
+    with pytest.raises(OptionError, match=message):
         law(name)
 
 

@@ -69,7 +69,7 @@ def test_a_vertex_near_the_end_of_a_run_gives_way_to_it_wherever_blocks_end():
                     strict=True,
                 )
             )
-            if chunk.ends:
+            if chunk.is_last:
                 found.append(run)
                 run = []
         assert [[line for line, _ in run] for run in found] == kept, cuts

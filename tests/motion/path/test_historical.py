@@ -68,8 +68,8 @@ def test_b_spline_agrees_with_scipy(points):
     assert len(got) == len(padded) - 3
     for u in (0.0, 0.3, 1.0):
         ours = sum(got[:, k] * u**k for k in range(4))
-        wanted = reference(3 + np.arange(len(got)) + u * (1 - 1e-16))
-        assert ours == pytest.approx(wanted, abs=1e-12 * 6.0 * 4)
+        expected = reference(3 + np.arange(len(got)) + u * (1 - 1e-16))
+        assert ours == pytest.approx(expected, abs=1e-12 * 6.0 * 4)
 
 
 def test_corner_is_missed_by_a_sixth_of_the_second_difference():

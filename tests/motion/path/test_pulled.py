@@ -66,8 +66,8 @@ def test_uneven_knots_agree_with_scipy():
     assert len(c) == len(control) - 3
     for u in (0.0, 0.4, 1.0):
         ours = sum(c[:, k] * u**k for k in range(4))
-        wanted = reference(at[1:-2] + u * span[1:-1] * (1 - 1e-15))
-        assert ours == pytest.approx(wanted, abs=1e-12)
+        expected = reference(at[1:-2] + u * span[1:-1] * (1 - 1e-15))
+        assert ours == pytest.approx(expected, abs=1e-12)
 
 
 @pytest.mark.parametrize("pull", ["points", "spacing"])

@@ -66,8 +66,8 @@ def test_no_part_is_faster_than_its_feed_or_much_slower() -> None:
         given = nominal_s[owner == piece]
         assert (given >= own * (1.0 - 1e-12)).all()
         assert (given <= own + 2.0 * spread[piece] / count[piece] ** 2 + 1e-15).all()
-        wanted = np.ceil(3.0 * spread[piece] / (a + b + d)[piece] / EVEN)
-        assert count[piece] == np.clip(wanted, 1, MOST_PARTS)
+        expected = np.ceil(3.0 * spread[piece] / (a + b + d)[piece] / EVEN)
+        assert count[piece] == np.clip(expected, 1, MOST_PARTS)
 
 
 @pytest.mark.parametrize("straight", [False, True])

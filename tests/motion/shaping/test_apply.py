@@ -84,8 +84,8 @@ def test_a_centroid_outside_its_train_leaves_the_operations_in_place(
     for cuts in ([], [7], [3, 4, 5, 20], list(range(1, 30))):
         for block in shape_trajectory(made(durations, c, cuts=cuts), shaper, None):
             middle = block.start_s + 0.5 * block.duration_s
-            wanted = np.searchsorted(ends, np.maximum(middle - late_s, 1e-12), side="right")
-            np.testing.assert_array_equal(block.operation, np.minimum(wanted, 29))
+            expected = np.searchsorted(ends, np.maximum(middle - late_s, 1e-12), side="right")
+            np.testing.assert_array_equal(block.operation, np.minimum(expected, 29))
 
 
 def test_memory_holds_only_what_the_train_reaches() -> None:
@@ -203,8 +203,8 @@ def test_centroid_shift_keeps_a_straight_line_at_constant_speed() -> None:
     late = max(one.centroid_s for one in shapers.values())
     assert aligned(t)[:, 0] == pytest.approx(0.3 * (t - late), abs=1e-14)
     # An axis that is not named is delayed, not shaped.
-    alone = shape_trajectory(line, {"X": shapers["X"]}, None, centroid_shift=True)
-    assert alone(t)[:, 1] == pytest.approx(-0.2 * (t - shapers["X"].centroid_s), abs=1e-14)
+    one_by_one = shape_trajectory(line, {"X": shapers["X"]}, None, centroid_shift=True)
+    assert one_by_one(t)[:, 1] == pytest.approx(-0.2 * (t - shapers["X"].centroid_s), abs=1e-14)
 
 
 def test_rests_that_something_needs_are_rests_still() -> None:

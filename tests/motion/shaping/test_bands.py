@@ -70,8 +70,8 @@ def level_exists(duration_s: float, cells: int) -> bool:
 
 def test_unit_magnitude_over_bands_is_nearly_the_shortest() -> None:
     """6 % sooner no level between 0 and 1 does it, switched or not."""
-    wanted = [Requirement(FlexibleMode(f, z), most, half) for f, z, half, most in ASKED]
-    train = unit_magnitude_over_bands(wanted)
+    expected = [Requirement(FlexibleMode(f, z), most, half) for f, z, half, most in ASKED]
+    train = unit_magnitude_over_bands(expected)
     assert level_exists(1.01 * train.duration_s, 200)
     assert not level_exists(0.94 * train.duration_s, 200)
 

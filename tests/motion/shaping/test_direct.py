@@ -52,8 +52,8 @@ def test_modes_far_apart_cost_little_more_than_the_slower_alone(ratio: float) ->
     """
     slow, fast = FlexibleMode(0.4, 0.01), FlexibleMode(0.4 * ratio, 0.02)
     found = direct_shaper([Requirement(fast, 0.05, 0.2), Requirement(slow, 0.05, 0.2)])
-    alone = [specified_insensitivity(mode, 0.2).duration_s for mode in (slow, fast)]
-    assert alone[0] <= found.duration_s <= sum(alone) * (1.0 + 1e-12)
+    one_by_one = [specified_insensitivity(mode, 0.2).duration_s for mode in (slow, fast)]
+    assert one_by_one[0] <= found.duration_s <= sum(one_by_one) * (1.0 + 1e-12)
     for mode in (slow, fast):
         for f in mode.frequency_hz * np.linspace(0.8, 1.2, 9):
             assert simulated_vibration(found, float(f), mode.damping_ratio) < 0.05 + 1e-9
@@ -154,8 +154,8 @@ def klipper_mzv(n: int, t: float, zeta: float) -> tuple[FloatArray, FloatArray]:
     at = np.linspace(0.0, t, n)
     phase = 2 * np.pi * (1 + np.arange(n - 1) / tau)[:, None] * at
     rows = np.vstack((np.ones(n), np.cos(phase), np.sin(phase)))
-    wanted = np.append(1.0, np.zeros(2 * n - 2))
-    weights = np.linalg.lstsq(rows, wanted, rcond=None)[0]
+    expected = np.append(1.0, np.zeros(2 * n - 2))
+    weights = np.linalg.lstsq(rows, expected, rcond=None)[0]
     weights *= np.exp(-2 * np.pi * zeta / np.sqrt(1 - zeta**2) * at)
     return weights / weights.sum(), at
 
@@ -180,15 +180,15 @@ def test_mzv_takes_klippers_parameters(word: str, n: int, t: float, zeta: float)
         assert train.times_s == pytest.approx(at * mode.damped_period_s, abs=1e-12)
         assert simulated_vibration(train, 40.0, zeta) < 1e-10
     export = klipper_export(design(word, mode), mode)
-    said = "mzv" if word == "mzv" else f"mzv(n={n},t={t:g})"
-    assert f"shaper_type_x: {said}\n" in export.section
+    message = "mzv" if word == "mzv" else f"mzv(n={n},t={t:g})"
+    assert f"shaper_type_x: {message}\n" in export.section
     per_axis = parse_shaper(f"X={word}:40Hz:{zeta}, Y=zv:20Hz")
     assert isinstance(per_axis, dict) and set(per_axis) == {"X", "Y"}
     assert per_axis["X"].times_s == pytest.approx(at * mode.damped_period_s)
 
 
 @pytest.mark.parametrize(
-    ("word", "said"),
+    ("word", "message"),
     [
         ("mzv(n=2)", "whole number from 3"),
         ("mzv(n=nan)", "whole number from 3"),
@@ -200,10 +200,10 @@ def test_mzv_takes_klippers_parameters(word: str, n: int, t: float, zeta: float)
         ("mzv(t=x)", "not a number"),
     ],
 )
-def test_mzv_refuses_what_klipper_cannot_play(word: str, said: str) -> None:
+def test_mzv_refuses_what_klipper_cannot_play(word: str, message: str) -> None:
     with pytest.raises(OptionError) as raised:
         design(word, FlexibleMode(40.0))
-    assert said in str(raised.value)
+    assert message in str(raised.value)
 
 
 def test_klippers_ei_takes_the_tolerance() -> None:

@@ -40,12 +40,12 @@ def test_one_mode_gives_the_known_trains(zeta: float, derivatives: int, kind: st
 def test_several_modes_stand_still_and_no_level_but_0_and_1(
     modes: list[tuple[float, float]],
 ) -> None:
-    wanted = [FlexibleMode(*m) for m in modes]
-    found = direct_unit_magnitude([Requirement(m) for m in wanted])
-    for m in wanted:
+    expected = [FlexibleMode(*m) for m in modes]
+    found = direct_unit_magnitude([Requirement(m) for m in expected])
+    for m in expected:
         assert simulated_vibration(found, m.frequency_hz, m.damping_ratio) < 1e-10
     assert set(found.levels.tolist()) == {0.0, 1.0}
-    apart = convolve(*[design("um-zv", m) for m in wanted])
+    apart = convolve(*[design("um-zv", m) for m in expected])
     # Pulses that do not overlap also leave a convolved train of unit magnitude: a longer one.
     assert apart.over_level > 0.5 or apart.duration_s > 1.03 * found.duration_s
 

@@ -265,10 +265,10 @@ def test_the_command_ranks_and_makes(
     """The best comes first; modified sine needs 6.33 m/s^2 and 6.3 kN a tonne."""
     asked = []
 
-    def made(wanted: Demand, progress: Callable[[str, float], None]) -> MadeLaw:
+    def made(expected: Demand, progress: Callable[[str, float], None]) -> MadeLaw:
         progress("law for the mode", 0.5)
-        asked.append(wanted)
-        return made_once(wanted)
+        asked.append(expected)
+        return made_once(expected)
 
     monkeypatch.setattr(law_mode, "made_law", made)
     file, folder = tmp_path / "made.csv", tmp_path / "report"
@@ -294,7 +294,7 @@ def test_the_command_ranks_and_makes(
 
 
 @pytest.mark.parametrize(
-    ("arguments", "said"),
+    ("arguments", "message"),
     [
         (("--mode", "0Hz", *MODE[2:]), "--mode '0Hz': a frequency must be greater than 0 Hz"),
         ((*MODE, "--damping", "2"), "--damping 2: a damping ratio must be from 0 to below 0.3"),
@@ -318,11 +318,11 @@ def test_the_command_ranks_and_makes(
     ],
 )
 def test_wrong_input_is_one_line(
-    arguments: tuple[str, ...], said: str, capsys: pytest.CaptureFixture[str]
+    arguments: tuple[str, ...], message: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     code, out, err = ran(capsys, *arguments)
     assert (code, out) == (2, "")
-    assert said in err and err.count("\n") == 1
+    assert message in err and err.count("\n") == 1
 
 
 def test_the_name_of_a_shaped_law_makes_it_again() -> None:
@@ -338,7 +338,7 @@ def test_the_name_of_a_shaped_law_makes_it_again() -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message"),
     [
         ("modified-sine*zv:12Hz", "does not say its window"),
         ("modified-sine*zv:12Hz in soon", "in 160 ms"),
@@ -349,7 +349,7 @@ def test_the_name_of_a_shaped_law_makes_it_again() -> None:
         ("cubic*zw:12Hz in 160 ms", "zw"),
     ],
 )
-def test_a_shaped_law_that_cannot_be_is_told(text: str, said: str) -> None:
+def test_a_shaped_law_that_cannot_be_is_told(text: str, message: str) -> None:
     with pytest.raises(OptionError) as caught:
         law_named(text)
-    assert said in str(caught.value)
+    assert message in str(caught.value)

@@ -75,8 +75,8 @@ def test_the_plan_is_that_of_the_shaped_trajectory(tmp_path: Path) -> None:
     text = "zvd:12.463Hz:0.0574"
     proof = proved(tmp_path, "lathe-winder+springy", "X 150", "400 mm/s", text)
     assert proof.plan.motion.timed is not None
-    wanted = shape_trajectory(proof.plan.motion.timed, parse_shaper(text), None)
-    assert proof.plan.motion.trajectory.duration_s == wanted.duration_s
+    expected = shape_trajectory(proof.plan.motion.timed, parse_shaper(text), None)
+    assert proof.plan.motion.trajectory.duration_s == expected.duration_s
 
 
 def test_a_reversal_that_is_cut_is_the_deviation(tmp_path: Path) -> None:

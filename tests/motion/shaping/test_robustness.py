@@ -35,9 +35,9 @@ def test_a_fast_mode_beside_a_slow_one_keeps_its_width() -> None:
     """
     fast, slow = FlexibleMode(1000.0), FlexibleMode(1.0)
     both = convolve(design("zv", fast), design("zv", slow))
-    alone = insensitivity(design("zv", fast), fast, 0.7).value
+    single = insensitivity(design("zv", fast), fast, 0.7).value
     found = insensitivity(both, fast, 0.7).value
-    assert alone <= found < alone + 2 * 0.002
+    assert single <= found < single + 2 * 0.002
 
 
 def test_a_step_is_amplified_where_it_was_before() -> None:

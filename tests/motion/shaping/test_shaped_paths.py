@@ -106,8 +106,8 @@ def test_text_of_shapers() -> None:
     assert one.amplitudes.tolist() == design("ei", MODE, tolerance=0.1).amplitudes.tolist()
     two = parse_shaper("zv : 12 Hz * zvd:3Hz")
     assert isinstance(two, Shaper)
-    wanted = convolve(design("zv", FlexibleMode(12.0)), design("zvd", FlexibleMode(3.0)))
-    assert two.times_s.tolist() == wanted.times_s.tolist()
+    expected = convolve(design("zv", FlexibleMode(12.0)), design("zvd", FlexibleMode(3.0)))
+    assert two.times_s.tolist() == expected.times_s.tolist()
     axes = parse_shaper("X=zv:12Hz:0.02, Y=um-zv:9Hz")
     assert isinstance(axes, dict)
     assert {k: v.name for k, v in axes.items()} == {"X": "zv", "Y": "um-zv"}

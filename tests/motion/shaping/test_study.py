@@ -69,7 +69,7 @@ def test_on_off_command_is_found_on_the_tick_and_keeps_its_word() -> None:
 
 
 def test_half_a_move_and_impossible_numbers_are_refused() -> None:
-    for words, said in (
+    for words, message in (
         (("--move", "200 mm"), "Add --acceleration"),
         (("--move", "3 s", "--acceleration", "1 m/s^2"), "--move '3 s'"),
         ((*MOVE, "--still", "0"), "tolerance must be positive"),
@@ -79,7 +79,7 @@ def test_half_a_move_and_impossible_numbers_are_refused() -> None:
     ):
         code, _, errors = run(*words)
         assert code == 2
-        assert said in errors
+        assert message in errors
 
 
 def test_a_move_needs_a_positive_distance() -> None:

@@ -197,12 +197,12 @@ def _run(folder: Path) -> None:
             start_new_session=True,
         )
         try:
-            said, _ = started.communicate(timeout=_LASTS_S)
+            output, _ = started.communicate(timeout=_LASTS_S)
         except subprocess.TimeoutExpired:
             os.killpg(started.pid, signal.SIGKILL)
-            said, _ = started.communicate()
+            output, _ = started.communicate()
             subprocess.run(["halrun", "-U"], check=False, timeout=60)
-    sys.stdout.write(said)
+    sys.stdout.write(output)
 
 
 def _moving_s(samples: Path) -> float:

@@ -107,8 +107,8 @@ def test_four_derivatives_are_continuous_and_true():
     t = np.linspace(0.35, 0.45, 97)
     for order in range(4):
         slope = (smooth(t + h, order) - smooth(t - h, order)) / (2 * h)
-        wanted = smooth(t, order + 1)
-        np.testing.assert_allclose(slope, wanted, atol=2e-3 * np.abs(wanted).max())
+        expected = smooth(t, order + 1)
+        np.testing.assert_allclose(slope, expected, atol=2e-3 * np.abs(expected).max())
 
 
 def test_operations_change_where_they_did():
@@ -160,12 +160,12 @@ def test_reader_gives_the_same_in_bounded_memory():
     reader = TrajectoryReader(cut)
     for begin in np.arange(-0.1, 1.3, 0.1):
         t = begin + np.linspace(0, 0.099, 40)
-        ladder = reader.ladder(t, 3)
+        derivatives = reader.derivatives(t, 3)
         reader.drop(float(t[-1]))
         for order in range(3):
             expected = smooth(t, order)
             expected[(t < 0) | (t > smooth.duration_s)] *= 1.0 if order == 0 else 0.0
-            np.testing.assert_allclose(ladder[:, order], expected, atol=1e-12)
+            np.testing.assert_allclose(derivatives[:, order], expected, atol=1e-12)
 
 
 def test_a_motion_that_begins_and_ends_at_speed_stands_before_and_after_it():
@@ -177,9 +177,9 @@ def test_a_motion_that_begins_and_ends_at_speed_stands_before_and_after_it():
         operation=np.array([0]),
     )
     moving = Trajectory(axes=("X",), blocks=Stream.of([block]))
-    ladder = TrajectoryReader(moving).ladder(np.array([-0.5, 0.0, 0.25, 1.0, 1.5]), 2)
-    assert ladder[:, 0, 0].tolist() == [3.0, 3.0, 3.5, 5.0, 5.0]
-    assert ladder[:, 1, 0].tolist() == [0.0, 2.0, 2.0, 2.0, 0.0]
+    derivatives = TrajectoryReader(moving).derivatives(np.array([-0.5, 0.0, 0.25, 1.0, 1.5]), 2)
+    assert derivatives[:, 0, 0].tolist() == [3.0, 3.0, 3.5, 5.0, 5.0]
+    assert derivatives[:, 1, 0].tolist() == [0.0, 2.0, 2.0, 2.0, 0.0]
 
 
 def long_blocks(count, length):
@@ -201,8 +201,8 @@ def test_reader_holds_the_blocks_around_an_instant_alone():
     )
     tracemalloc.start()
     for begin in np.arange(0.0, count, 0.5):
-        ladder = reader.ladder(begin + np.array([0.1, 0.2]), 2)
-        assert ladder[0, 0, 0] >= np.floor(begin)
+        derivatives = reader.derivatives(begin + np.array([0.1, 0.2]), 2)
+        assert derivatives[0, 0, 0] >= np.floor(begin)
         reader.drop(begin)
     most = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()

@@ -84,9 +84,9 @@ def test_the_motion_is_the_law_and_its_peak_meets_the_feed(name: str) -> None:
     t = np.linspace(0, 1, 5001)
     way = np.array([0.2, 0.15])
     for derivative, tolerance in ((0, 2e-9), (1, 1e-6), (2, 1e-3)):
-        wanted = motion(t, derivative)[1:-1, None] * way / duration**derivative
+        expected = motion(t, derivative)[1:-1, None] * way / duration**derivative
         found = moved(t * moved.duration_s, derivative)[1:-1]
-        assert np.abs(found - wanted).max() <= tolerance * np.abs(wanted).max()
+        assert np.abs(found - expected).max() <= tolerance * np.abs(expected).max()
     assert np.abs(moved(t * duration, 1)).max() == pytest.approx(0.036, rel=1e-6)
 
 
@@ -150,7 +150,7 @@ def test_prove_compile_and_judge_take_a_law(
 
 
 @pytest.mark.parametrize(
-    ("arguments", "said"),
+    ("arguments", "message"),
     [
         (("--law", "nope"), "unknown motion law 'nope'"),
         (("--law", "cubic", "--interpolation", "linear"), "both choose the interpolation"),
@@ -159,8 +159,8 @@ def test_prove_compile_and_judge_take_a_law(
     ],
 )
 def test_a_wrong_law_is_one_line(
-    arguments: tuple[str, ...], said: str, capsys: pytest.CaptureFixture[str]
+    arguments: tuple[str, ...], message: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     code, out, err = ran(capsys, "prove", *X180, *arguments)
     assert (code, out) == (2, "")
-    assert said in err and err.count("\n") == 1
+    assert message in err and err.count("\n") == 1

@@ -74,7 +74,7 @@ def planned(
         np.array(velocity[: len(axes)], dtype=float),
         np.array(acceleration[: len(axes)], dtype=float),
     )
-    return list(trapezoids.moves_of(rules).extend(block, slice(0, count), ends=True))
+    return list(trapezoids.moves_of(rules).extend(block, slice(0, count), is_last=True))
 
 
 def times(blocks, count):
@@ -192,7 +192,7 @@ def test_moves_in_parts_are_those_of_the_whole(
             dwell_s=np.zeros(1),
             line=np.array([k]),
         )
-        parts += list(run.extend(block, slice(0, 1), ends=k == 399))
+        parts += list(run.extend(block, slice(0, 1), is_last=k == 399))
     assert len(parts) > 10  # they do come in parts
     np.testing.assert_allclose(times(parts, 400), whole, rtol=1e-9)
 
@@ -200,9 +200,9 @@ def test_moves_in_parts_are_those_of_the_whole(
 @pytest.mark.parametrize("planner", [GRBL, MARLIN], ids=["grbl", "marlin"])
 def test_one_move_is_a_trapezoid(planner: FirmwarePlanner) -> None:
     """v / a + L / v if it reaches its speed, otherwise 2 sqrt(L / a)."""
-    for length, wanted in ((100.0, 50.0 / 800.0 + 100.0 / 50.0), (2.0, 2 * np.sqrt(2.0 / 800.0))):
+    for length, expected in ((100.0, 50.0 / 800.0 + 100.0 / 50.0), (2.0, 2 * np.sqrt(2.0 / 800.0))):
         blocks = planned(planner, [[length, 0.0, 0.0]], 50.0, **ON_GRBL)
-        assert times(blocks, 1).sum() == pytest.approx(wanted, rel=1e-12)
+        assert times(blocks, 1).sum() == pytest.approx(expected, rel=1e-12)
 
 
 def corner_speed(planner: FirmwarePlanner, degrees: float, **limits) -> float:
@@ -240,8 +240,8 @@ def test_a_corner_is_taken_on_its_circle(planner: FirmwarePlanner) -> None:
             # The limit of the second move itself, whatever the axes allow across it.
             along = np.array([np.cos(np.radians(turn)), np.sin(np.radians(turn))])
             allowed = 500.0 / np.abs(along).max()
-        wanted = np.sqrt(allowed * radius)
-        assert corner_speed(planner, turn, **limits) == pytest.approx(wanted, rel=1e-9)
+        expected = np.sqrt(allowed * radius)
+        assert corner_speed(planner, turn, **limits) == pytest.approx(expected, rel=1e-9)
 
 
 @pytest.mark.parametrize(

@@ -140,7 +140,7 @@ def test_braking_beyond_its_limit_is_refused_by_name():
 
 def test_a_path_rests_where_it_turns_back_wherever_its_blocks_end():
     places = [[0, 0], [1, 0], [1, 0], [0.5, 0], [0.5, 1], [0.5, 1], [0.5, 0], [2, 0]]
-    wanted = [0, 0, 1, 0, 0, 1, 0, 1]
+    expected = [0, 0, 1, 0, 0, 1, 0, 1]
     for cuts in ([], [1], [2], [3], [5], [6], [2, 3], [5, 6], [1, 2, 3, 4, 5, 6, 7]):
         blocks = [vertices(part) for part in np.split(np.array(places, dtype=float), cuts)]
         blocks = [replace(b, rest=np.zeros(len(b), dtype=np.int64)) for b in blocks[:-1]] + [
@@ -148,7 +148,7 @@ def test_a_path_rests_where_it_turns_back_wherever_its_blocks_end():
         ]
         path = ProgrammedPath(axes=("X", "Y"), radius_m=np.ones(2), blocks=Stream.of(blocks))
         rests = np.concatenate([block.rest for block in resting_at_reversals(path)])
-        assert rests.tolist() == wanted, cuts
+        assert rests.tolist() == expected, cuts
 
 
 def test_less_of_the_limits_is_less_of_braking_and_along_the_path_too():
@@ -159,7 +159,7 @@ def test_less_of_the_limits_is_less_of_braking_and_along_the_path_too():
 
 
 @pytest.mark.parametrize(
-    ("name", "under", "text", "said"),
+    ("name", "under", "text", "message"),
     [
         ("lathe-winder", "axes.X", "deceleration = '3 rad/s^2 exact, assumed'", "deceleration"),
         ("lathe-winder", "axes.X", "deceleration = '0 m/s^2 exact, assumed'", "deceleration"),
@@ -176,14 +176,14 @@ def test_less_of_the_limits_is_less_of_braking_and_along_the_path_too():
         ("schiffli-frame", "axes.X", "deceleration = '1 m/s^2 exact, assumed'", "step tables"),
     ],
 )
-def test_limits_that_mean_nothing_are_refused_by_name(tmp_path, name, under, text, said):
+def test_limits_that_mean_nothing_are_refused_by_name(tmp_path, name, under, text, message):
     own = library_file(name).read_text(encoding="utf-8")
     if f"[{under}]\n" in own:
         own = own.replace(f"[{under}]\n", f"[{under}]\n{text}\n")
     else:
         own += f"\n[{under}]\n{text}\n"
     (tmp_path / "mine.toml").write_text(own, encoding="utf-8")
-    with pytest.raises(MachineError, match=said) as caught:
+    with pytest.raises(MachineError, match=message) as caught:
         load_machine(tmp_path / "mine.toml")
     assert "mine.toml:" in str(caught.value)
 

@@ -115,7 +115,7 @@ def test_a_straight_way_has_no_centripetal_acceleration():
 
 
 @pytest.mark.parametrize(
-    ("given", "said"),
+    ("given", "message"),
     [
         ({"centripetal": 0.0}, "centripetal is 0.0"),
         ({"path_jerk": -1.0}, "path_jerk is -1.0"),
@@ -125,6 +125,6 @@ def test_a_straight_way_has_no_centripetal_acceleration():
         ({"deceleration": np.inf}, "deceleration of axis 0 is inf"),
     ],
 )
-def test_impossible_path_limit_is_refused_by_name(given, said):
-    with pytest.raises(PlanError, match=said):
+def test_impossible_path_limit_is_refused_by_name(given, message):
+    with pytest.raises(PlanError, match=message):
         retime([[0.0, 0.0], [1.0, 1.0]], 1.0, 1.0, **given)

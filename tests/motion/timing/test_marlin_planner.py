@@ -141,7 +141,7 @@ def our_time(
     moves, blocks = trapezoids.moves_of(rules), []
     for first in range(0, count, at_once):
         rows = slice(first, min(first + at_once, count))
-        blocks += moves.extend(block, rows, ends=rows.stop == count)
+        blocks += moves.extend(block, rows, is_last=rows.stop == count)
     last = blocks[-1].coefficients[-1].sum(axis=0)
     np.testing.assert_allclose(last * SI, program.points[-1], atol=1e-9)
     return float(sum(one.duration_s.sum() for one in blocks))

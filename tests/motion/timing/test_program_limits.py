@@ -73,8 +73,8 @@ def test_limits_hold_for_the_moves_behind_their_line_alone(
 ) -> None:
     lines = ["G1 X100 F60000", "G4 P0", "SET_VELOCITY_LIMIT ACCEL=100", "G1 X0", "G4 P0"]
     again = ["M204 S500", "SET_VELOCITY_LIMIT VELOCITY=20", "G1 X50"]
-    wanted = ramped_s(100, 100, 500) + ramped_s(100, 100, 100) + ramped_s(50, 20, 500)
-    assert time_s(tmp_path, machine, *lines, *again) == pytest.approx(wanted, rel=1e-9)
+    expected = ramped_s(100, 100, 500) + ramped_s(100, 100, 100) + ramped_s(50, 20, 500)
+    assert time_s(tmp_path, machine, *lines, *again) == pytest.approx(expected, rel=1e-9)
 
 
 def test_a_corner_of_90_degrees_is_passed_at_the_lower_of_both_corner_speeds(

@@ -181,7 +181,7 @@ def test_a_higher_limit_of_velocity_costs_no_time(seed, jerk):
 
 
 @pytest.mark.parametrize(
-    ("given", "said"),
+    ("given", "message"),
     [
         ({"points": [[0.0], [np.nan]]}, "point 1 is"),
         ({"points": [0.0, 1.0]}, "shape"),
@@ -209,14 +209,14 @@ def test_a_higher_limit_of_velocity_costs_no_time(seed, jerk):
         ({"tolerance": 10**400}, "tolerance is 1000.*of at most 1e.09"),
     ],
 )
-def test_argument_out_of_range_is_refused_by_name(given, said):
+def test_argument_out_of_range_is_refused_by_name(given, message):
     asked = {"points": [[0.0], [1.0]], "velocity": 1.0, "acceleration": 1.0, **given}
-    with pytest.raises(PlanError, match=said):
+    with pytest.raises(PlanError, match=message):
         retime(**asked)
 
 
 @pytest.mark.parametrize(
-    ("times", "said"),
+    ("times", "message"),
     [
         ([0.0, np.nan], "time 1 is nan; every time must be a finite number"),
         (np.inf, "time 0 is inf"),
@@ -228,10 +228,10 @@ def test_argument_out_of_range_is_refused_by_name(given, said):
         (np.array([1j]), "they must be numbers"),
     ],
 )
-def test_time_that_is_not_a_number_is_refused(times, said):
+def test_time_that_is_not_a_number_is_refused(times, message):
     """A time that is not a number once gave the start of the motion, without a message."""
     motion = retime([[0.0], [1.0]], 1.0, 1.0)
-    with pytest.raises(PlanError, match=said):
+    with pytest.raises(PlanError, match=message):
         motion(times)
     assert motion([]).shape == (0, 1) and motion(2).tolist() == [[1.0]]
 

@@ -11,11 +11,11 @@ from threadline.motion.timing.optimal.run_elements import run_elements
 
 def test_pieces_of_femtometres_beside_a_rest_are_left_out():
     """They are below the rounding of a place: a motion from rest along them has no digits."""
-    ways = np.array([1e-15, 0.1, 1e-13, 0.05, 2e-15])
-    starts = np.cumsum(ways) - ways
+    moves = np.array([1e-15, 0.1, 1e-13, 0.05, 2e-15])
+    starts = np.cumsum(moves) - moves
     zeros = np.zeros(5)
     run = PieceBlock(
-        coefficients=np.stack([starts, ways], axis=1)[:, :, None],
+        coefficients=np.stack([starts, moves], axis=1)[:, :, None],
         operation=np.arange(5),
         nominal_s=zeros,
         rest_after=np.array([0, 0, 0, 0, 1]),

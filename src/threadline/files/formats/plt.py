@@ -96,11 +96,11 @@ def write_plt(
         rate = f"every {every} ticks of {_period_text(clock.period_s)}"
         file.write(("\t".join([*heads, rate]) + "\n").encode())
         for rows in _rows(recording, channels, every):
-            kept_rows = rows if lines_left is None else rows[:lines_left]
-            lines = ["\t".join(f"{v:.4f}" for v in row) + "\n" for row in kept_rows.tolist()]
+            written_rows = rows if lines_left is None else rows[:lines_left]
+            lines = ["\t".join(f"{v:.4f}" for v in row) + "\n" for row in written_rows.tolist()]
             file.write("".join(lines).encode())
-            was_cut = was_cut or len(kept_rows) < len(rows)
-            lines_left = None if lines_left is None else lines_left - len(kept_rows)
+            was_cut = was_cut or len(written_rows) < len(rows)
+            lines_left = None if lines_left is None else lines_left - len(written_rows)
     warnings = (f"{path.name} was cut after {limit_lines} lines",) if was_cut else ()
     return written(path, warnings)
 

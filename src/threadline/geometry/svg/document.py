@@ -37,7 +37,7 @@ _COUNTS = {
     "matrix": (6,), "translate": (1, 2), "scale": (1, 2), "rotate": (1, 3), "skewX": (1,),
     "skewY": (1,), "translateX": (1,), "translateY": (1,), "scaleX": (1,), "scaleY": (1,),
 }  # fmt: skip
-_IN_STYLES_ALONE = ("translateX", "translateY", "scaleX", "scaleY")
+_ONLY_IN_STYLES = ("translateX", "translateY", "scaleX", "scaleY")
 _HEX = re.compile(r"#([0-9a-f]{3,4}|[0-9a-f]{6}|[0-9a-f]{8})")
 _COLOURS = """
 aliceblue=f0f8ff antiquewhite=faebd7 aqua=00ffff aquamarine=7fffd4 azure=f0ffff beige=f5f5dc
@@ -159,7 +159,7 @@ def transform(written: str, in_style: bool = False) -> FloatArray:
 
 def _function(name: str, arguments: str, in_style: bool) -> FloatArray:
     quoted = f"the transform {shown(f'{name}({arguments})')}"
-    if name not in _COUNTS or (name in _IN_STYLES_ALONE and not in_style):
+    if name not in _COUNTS or (name in _ONLY_IN_STYLES and not in_style):
         raise ValueRefused(f"{quoted} is not understood")
     try:
         v = _styled(name, arguments) if in_style else numbers(arguments.strip())

@@ -124,12 +124,12 @@ def t15_bytes(units: IntArray, sewn: IntArray, changes: set[int]) -> bytes:
     records = [_record(MOVE, 0, 0)] * _BLANKS[0]
     down = False
 
-    def needle(wanted_down: bool) -> None:
+    def needle(is_down_next: bool) -> None:
         nonlocal down
-        if wanted_down != down:
-            pair = (OUTER, INNER) if wanted_down else (INNER, OUTER)
+        if is_down_next != down:
+            pair = (OUTER, INNER) if is_down_next else (INNER, OUTER)
             records.extend(_record(function, 0, 0) for function in pair)
-            down = wanted_down
+            down = is_down_next
 
     for k, (step, stitch) in enumerate(zip(units.tolist(), sewn.tolist(), strict=True)):
         if k in changes:

@@ -13,8 +13,8 @@ from threadline.jobs.gcode.dialects import (
 from threadline.jobs.gcode.foreign import MACROS
 from threadline.jobs.gcode.grammar import (
     PLAIN,
-    check_first_alone,
     check_line,
+    check_one_command,
     check_words,
     only_asks,
 )
@@ -201,7 +201,7 @@ def block_of(  # noqa: PLR0915 - one loop over the words, the hot path of the re
     dialect = reading.dialect
     words, tags = raw
     if dialect.one_command:
-        check_first_alone(words, dialect.name, Place(reading.file, line))
+        check_one_command(words, dialect.name, Place(reading.file, line))
     if dialect.grammar is not PLAIN:
         check_words(words, reading.axes, dialect.grammar, dialect.name, Place(reading.file, line))
     motion = action = program = label = -1

@@ -82,7 +82,7 @@ class Cycles:
         self._begun: int | None = None  # height at which the series began
         self._motion = -1  # the last cycle of the series
         self._modes = (0, 0)  # plane and unit of the series
-        self._kept: dict[str, int] = {}  # last depth, R, Q and P
+        self._last_words: dict[str, int] = {}  # last depth, R, Q and P
 
     def take(self, settings: tuple[int, ...], motion: int) -> None:
         """Take the G98, G99 and the motion of a block; another motion ends the series."""
@@ -130,7 +130,7 @@ class Cycles:
                 frame, f"R of G{motion} lies {(bottom - r) / ONE:.6g} mm deeper than {depth_letter}"
             )
         self._begun, self._motion = start_height, motion
-        self._kept.update(words)
+        self._last_words.update(words)
         across_axes = [frame.axes[letter] for letter in across_letters if letter in frame.axes]
         hole = {
             i: frame.exact[i] if frame.relative or i not in given else frame.offset[i] + given[i]
@@ -176,9 +176,9 @@ class Cycles:
         for letter in needed:
             if letter in words:
                 continue
-            if self._motion != motion or letter not in self._kept:
+            if self._motion != motion or letter not in self._last_words:
                 raise _error(frame, f"G{motion} has no {letter}")
-            words[letter] = self._kept[letter]
+            words[letter] = self._last_words[letter]
         if "P" in needed and words["P"] < 0:
             raise _error(frame, f"P of G{motion} must not be negative")
         if "Q" in needed and words["Q"] <= 0:

@@ -191,7 +191,7 @@ _MOST = 1000
 _MM_PER_M = 1000 * ONE
 
 
-class KeptFeeds:
+class FeedCache:
     """A store of feeds by mode and value, so that equal feeds are one object.
 
     Parameters
@@ -202,18 +202,18 @@ class KeptFeeds:
 
     def __init__(self, rule: FRule) -> None:
         self._rule = rule
-        self._kept: dict[tuple[FeedMode, float], Feed] = {}
+        self._feeds: dict[tuple[FeedMode, float], Feed] = {}
 
     def feed(self, value: float, *, inverse_time: bool) -> Feed:
         """Return the feed of ``value`` in m/s, or in 1/s in G93 (``inverse_time``)."""
         rule = self._rule
         mode = FeedMode.INVERSE_TIME if inverse_time else rule.mode
-        feed = self._kept.get((mode, value))
+        feed = self._feeds.get((mode, value))
         if feed is None:
-            if len(self._kept) >= _MOST:
-                self._kept.clear()
+            if len(self._feeds) >= _MOST:
+                self._feeds.clear()
             feed = Feed(mode, value, rule.base_axes if mode is FeedMode.BASE_AXES else ())
-            self._kept[mode, value] = feed
+            self._feeds[mode, value] = feed
         return feed
 
 

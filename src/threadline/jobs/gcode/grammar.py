@@ -40,7 +40,7 @@ class Grammar:
         Greatest number after each letter.
     unsigned
         Letters whose number must not be negative.
-    alone
+    exclusive
         Ten times the numbers of the G words that exclude each other in a block.
     m_kinds
         Kind of each M word; a block has at most one word of each kind.
@@ -106,7 +106,7 @@ class Grammar:
     letters: str = ""
     most: Mapping[str, int] = field(default_factory=dict)
     unsigned: str = ""
-    alone: frozenset[int] = frozenset()
+    exclusive: frozenset[int] = frozenset()
     m_kinds: Mapping[int, str] = field(default_factory=dict)
     takes_axes: frozenset[int] = frozenset()
     loses_axes: frozenset[int] = frozenset()
@@ -141,21 +141,21 @@ QUERIES = frozenset({"$", "$$", "$#", "$G", "$I", "$N", "?"})
 PLAIN = Grammar()
 GRBL = Grammar(
     longest=79, packed=True, inner=True, letters="O", most={"N": 10_000_000, "T": 255},
-    unsigned="FNPST", alone=_NON_MODAL, m_kinds=_COOLANT, takes_axes=_MOTIONS | {280, 920, 490},
+    unsigned="FNPST", exclusive=_NON_MODAL, m_kinds=_COOLANT, takes_axes=_MOTIONS | {280, 920, 490},
     loses_axes=frozenset({490}), feed_first=True, cancelled=True, reset_last=True, arc_ends=True,
     idle_centre=True, round_arcs=True, single=True, of_sender=frozenset({6}), tape="refused",
     realtime=r"[!?~\x84\x85\x90-\x97\x99-\x9e\xa0\xa1]", queries=QUERIES,
 )  # fmt: skip
 FLUIDNC = Grammar(
     longest=127, letters="O", most={"N": 10_000_000, "T": 255}, unsigned="FNPST",
-    alone=_NON_MODAL, m_kinds={**_COOLANT, **_OUTPUTS}, takes_axes=_MOTIONS | {280, 920, 490},
+    exclusive=_NON_MODAL, m_kinds={**_COOLANT, **_OUTPUTS}, takes_axes=_MOTIONS | {280, 920, 490},
     loses_axes=frozenset({490}), needs_p=frozenset(_OUTPUTS), split_comments=True,
     feed_first=True, cancelled=True, reset_last=True, turns=True, arc_ends=True, idle_centre=True,
     round_arcs=True, single=True, tape="first",
     queries=QUERIES, realtime=r"[!?~]|\xc2[\x84-\x8a\x90-\x9e\xa0\xa1\xb2-\xb4]",
 )  # fmt: skip
 LINUXCNC = Grammar(
-    longest=252, unsigned="FST", alone=_NON_MODAL, m_kinds={**_COOLANT, **_OUTPUTS},
+    longest=252, unsigned="FST", exclusive=_NON_MODAL, m_kinds={**_COOLANT, **_OUTPUTS},
     takes_axes=_MOTIONS | {50, 280, 920}, needs_p=frozenset(_OUTPUTS), feed_first=True,
     forgets_feed=True, numbers_first=True, turns=True,
 )  # fmt: skip
@@ -225,7 +225,7 @@ def check_length(text: str, grammar: Grammar, name: str, place: Place) -> None:
             )
 
 
-def check_first_alone(words: Sequence[tuple[str, str]], name: str, place: Place) -> None:
+def check_one_command(words: Sequence[tuple[str, str]], name: str, place: Place) -> None:
     """Refuse words that a one-command firmware would not run.
 
     Raises
@@ -299,7 +299,7 @@ def check_words(
             )
         if letter == "G":
             code = 10 * value // ONE
-            if code in grammar.alone:
+            if code in grammar.exclusive:
                 exclusive_words.append(word)
             if code in grammar.takes_axes:
                 axis_takers.append(word)

@@ -19,7 +19,7 @@ from threadline.jobs.gcode.block import (
 from threadline.jobs.gcode.curves import CURVED, Curves
 from threadline.jobs.gcode.cycles import Cycles, Frame
 from threadline.jobs.gcode.dialects import CANCEL, Reading
-from threadline.jobs.gcode.feeds import FRule, KeptFeeds, travelling, value_of
+from threadline.jobs.gcode.feeds import FeedCache, FRule, travelling, value_of
 from threadline.jobs.gcode.textfile import SourceFile
 from threadline.jobs.gcode.words import ONE
 from threadline.jobs.gcode.zeros import FIRST, MACHINE, NO_LENGTH, SYSTEMS, TURN, Zeros
@@ -97,7 +97,7 @@ class Modal:
         self._lengths = [index for index, name in axes if name in _LENGTHS]
         self._inverse_time = False
         self._passes: tuple[int, ...] = ()
-        self._feeds = KeptFeeds(program.rule)
+        self._feeds = FeedCache(program.rule)
         first_feed_m_s = self._dialect.first_feed_m_s
         self._feed: Feed | None = None if first_feed_m_s is None else self._feed_of(first_feed_m_s)
         self._letters = program.reading.names

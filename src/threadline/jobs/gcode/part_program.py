@@ -22,15 +22,15 @@ from threadline.jobs.gcode.modal import MILLIMETRE, RAPID, Modal, ProgramText
 from threadline.jobs.gcode.plain_blocks import PlainReader, plain_reader
 from threadline.jobs.gcode.program_warnings import capped_feeds, program_warnings
 from threadline.jobs.gcode.scan import Scanner
-from threadline.jobs.gcode.subprograms import Frame, KeptText, Structure
+from threadline.jobs.gcode.subprograms import CachedText, Frame, Structure
 from threadline.jobs.gcode.textfile import Lines, SourceFile, identify
 from threadline.jobs.gcode.words import ONE, is_parametric
 from threadline.jobs.gcode.zeros import FIRST, tool_lengths, zeros_of
 from threadline.jobs.operations import (
+    CachedOperations,
     Feed,
     FeedMode,
     Job,
-    KeptOperations,
     Move,
     MoveRun,
     Operation,
@@ -110,7 +110,7 @@ class Interpreter(Modal):
         self._structure = program.structure
         self._fold = fold
         self._plain = plain_reader(program.reading, program.linear, follow=True)
-        self._text = KeptText(program.file, program.reading)
+        self._text = CachedText(program.file, program.reading)
 
     def run(self) -> Iterator[tuple[Operation | MoveRun, int, int]]:
         """Return operations and runs, each with its times and the line of the main call."""
@@ -158,7 +158,9 @@ class Interpreter(Modal):
                 if frame.pass_ < frame.passes:
                     frame.pass_ += 1
                     if self._fold and frame.pass_ == _STEADY_PASS:
-                        frame.fold_rest((*self._exact, *self._zeros.offset, *self._zeros.kept))
+                        frame.fold_rest(
+                            (*self._exact, *self._zeros.offset, *self._zeros.saved_offset)
+                        )
                     frame.lines = self._text.lines_of(frame.program)
                     self._passes = (*self._passes[:-1], frame.pass_)
                 else:
@@ -181,7 +183,7 @@ class Interpreter(Modal):
             self._put(index, start + frame.folded * (self._exact[index] - start))
         for first_column, values in (
             (axis_count, self._zeros.offset),
-            (2 * axis_count, self._zeros.kept),
+            (2 * axis_count, self._zeros.saved_offset),
         ):
             for index, start in enumerate(frame.start[first_column : first_column + axis_count]):
                 values[index] = start + frame.folded * (values[index] - start)
@@ -352,7 +354,7 @@ def read_part_program(
         sha256=file.sha256,
         axes=machine.axis_names,
         start=(0.0,) * len(machine.axis_names),
-        operations=OperationStream(KeptOperations(_runs, program), Stream(_folded, program)),
+        operations=OperationStream(CachedOperations(_runs, program), Stream(_folded, program)),
         warnings=program_warnings(findings, file, spoken_dialect),
         capped=capped_feeds(findings, moved_axes, label, machine, file),
         feed_rule=rule.text,

@@ -23,7 +23,7 @@ _TEXT = re.compile(
 )
 _STOP = re.compile(r" *(?:N *[0-9]+ *)?M *0*[01](?![0-9.])(?: *[PS] *[0-9]+(?:\.[0-9]*)?)*", re.I)
 _FLAGS = re.compile(r" *(?:N *[0-9]+ *)?(?:G *28|M *(?:1[78]|84))(?![0-9.])")
-_ALONE = re.compile(r"([A-Z])(?! *[-+.0-9])")
+_BARE_LETTER = re.compile(r"([A-Z])(?! *[-+.0-9])")
 _COMMAND = re.compile(r" *(?:N *[0-9]+ *)?[GMT] *[0-9]")
 _PARENTHESES = re.compile(r"\((?:[^()]|\([^()]*\))*(?:\)|$)")
 _STRAIGHT = re.compile(r" *(?:N *[0-9]+ *)?G *0*[01](?![0-9.])")
@@ -131,7 +131,7 @@ def one_command(text: str, name: str, place: Place) -> str:
             remedy="Write the command in front, like G1 X5 F600.",
         )
     if _FLAGS.match(code):
-        code = _ALONE.sub(r"\g<1>0", code)
+        code = _BARE_LETTER.sub(r"\g<1>0", code)
     return f"{code}{semicolon}{comment}"
 
 
@@ -188,7 +188,7 @@ def _for_klipper(code: str, place: Place) -> str:
             place=place,
             remedy="Write it like G1 X5 F600, and a comment behind a semicolon.",
         )
-    return _ALONE.sub(r"\g<1>0", code) if _FLAGS.match(code) else code
+    return _BARE_LETTER.sub(r"\g<1>0", code) if _FLAGS.match(code) else code
 
 
 def _without_checksum(code: str, place: Place) -> str:
@@ -278,7 +278,7 @@ def _for_reprapfirmware(text: str, place: Place, *, cnc: bool = False) -> list[s
                 place=place,
                 remedy="Write T on a line of its own, or take it out.",
             )
-        pieces.append(_ALONE.sub(r"\g<1>0", piece) if _FLAGS.match(piece) else piece)
+        pieces.append(_BARE_LETTER.sub(r"\g<1>0", piece) if _FLAGS.match(piece) else piece)
     return [f"{piece}{comment}" for piece in pieces]
 
 

@@ -111,9 +111,9 @@ class Scanner:
         self._plain = plain_reader(reading, (True,) * len(reading.names), follow=False)
         self.systems = SystemsUsed()
         self._lengths = ToolLengths(file, reading.lengths)
-        self._ended: tuple[Block, int] | None = None  # ending block, next byte
-        first_alone = reading.dialect.grammar.tape == "first"
-        self._tapes = Tapes(file, reading.dialect.name if first_alone else "")
+        self._program_end: tuple[Block, int] | None = None  # ending block, next byte
+        first_line_only = reading.dialect.grammar.tape == "first"
+        self._tapes = Tapes(file, reading.dialect.name if first_line_only else "")
         self._begun = False
         self._later = False  # the current program is not the first of its file
         self._numbered: int | None = 0  # N of the last numbered line
@@ -149,9 +149,9 @@ class Scanner:
         number = max(1, lines.number - 1)
         program = self._programs.current
         dialect = self._reading.dialect
-        ended = program is None or self._ended is not None
-        if program is not None and self._ended is not None:
-            block, next_byte = self._ended
+        ended = program is None or self._program_end is not None
+        if program is not None and self._program_end is not None:
+            block, next_byte = self._program_end
             program.closes = block.line
             self._programs.end(block.program, next_byte)
         elif program is not None and not dialect.needs_end:
@@ -208,7 +208,7 @@ class Scanner:
         self._begun = True
         program = programs.current
         assert program is not None
-        if self._ended is not None:
+        if self._program_end is not None:
             if _only_ends(block):
                 return
             self._go_on(program)
@@ -229,20 +229,20 @@ class Scanner:
             call = program.calls.setdefault(block.p // ONE, Call(block.line, 0))
             call.passes += block.passes or 1
         elif block.ends == "end" and program.label is None and self._reading.dialect.streams:
-            self._ended = block, next_byte
+            self._program_end = block, next_byte
         elif block.ends in {"end", "return"}:
             programs.end(block.program, next_byte)
 
     def _go_on(self, program: Program) -> None:
         """Go on after M2 or M30 in a dialect in which they only reset the modes."""
-        if self._ended is None:
+        if self._program_end is None:
             return
-        self.findings.anew.append(self._ended[0].line)
+        self.findings.anew.append(self._program_end[0].line)
         del self.findings.anew[MAX_REMEMBERED:]
         self.findings.feeds.set_mode(program.label, 940)
         self._plain.state[MOTION] = 1
         self.systems.now = FIRST
-        self._ended = None
+        self._program_end = None
 
     @property
     def moved_axes(self) -> list[int]:

@@ -235,8 +235,8 @@ class Collector:
         return callee
 
 
-_KEPT_BYTES = 1 << 21
-_KEPT_BLOCKS = 10_000
+_CACHED_BYTES = 1 << 21
+_CACHED_BLOCKS = 10_000
 
 
 @dataclass(slots=True)
@@ -264,7 +264,7 @@ class Frame:
         self.start = start
 
 
-class KeptText:
+class CachedText:
     """The lines of programs; short programs, and the blocks of loops, stay in memory.
 
     Parameters
@@ -276,20 +276,20 @@ class KeptText:
     def __init__(self, file: SourceFile, reading: Reading) -> None:
         self._file = file
         self._reading = reading
-        self._kept: dict[int | None, Chunk] = {}
-        self._kept_bytes = 0
+        self._cache: dict[int | None, Chunk] = {}
+        self._cached_bytes = 0
         self._parsed: dict[int, tuple[Block, ...]] = {}
 
     def lines_of(self, program: Program) -> Lines:
         """Return the lines of a program."""
         size = program.end - program.offset
-        kept = self._kept.get(program.label)
-        if kept is None and self._kept_bytes + size <= _KEPT_BYTES:
+        chunk_cached = self._cache.get(program.label)
+        if chunk_cached is None and self._cached_bytes + size <= _CACHED_BYTES:
             chunks = self._file.chunks(program.offset, max(size, 1), program.end)
-            kept = Chunk(program.offset, b"".join(chunk.data for chunk in chunks))
-            self._kept[program.label] = kept
-            self._kept_bytes += size
-        return Lines(self._file, program.offset, program.line, kept)
+            chunk_cached = Chunk(program.offset, b"".join(chunk.data for chunk in chunks))
+            self._cache[program.label] = chunk_cached
+            self._cached_bytes += size
+        return Lines(self._file, program.offset, program.line, chunk_cached)
 
     def next_line(self, lines: Lines, looping: bool) -> tuple[Block, ...]:
         """Return the blocks on the next line, none for a line without words.
@@ -305,6 +305,6 @@ class KeptText:
             return self._parsed[offset]
         number, _, text = lines.take()
         blocks = () if text.strip() == TAPE else parse_line(text, number, self._reading)
-        if looping and len(self._parsed) < _KEPT_BLOCKS:
+        if looping and len(self._parsed) < _CACHED_BLOCKS:
             self._parsed[offset] = blocks
         return blocks

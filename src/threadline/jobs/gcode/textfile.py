@@ -166,10 +166,10 @@ class Lines:
     """
 
     def __init__(
-        self, file: SourceFile, offset: int, number: int, kept: Chunk | None = None
+        self, file: SourceFile, offset: int, number: int, cached_chunk: Chunk | None = None
     ) -> None:
         self._file = file
-        self._chunks = iter((kept,)) if kept is not None else file.chunks(offset)
+        self._chunks = iter((cached_chunk,)) if cached_chunk is not None else file.chunks(offset)
         self._chunk = Chunk(offset, b"")
         self.data: NDArray[np.uint8] = np.empty(0, np.uint8)
         self.at = 0

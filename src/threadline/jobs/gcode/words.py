@@ -255,14 +255,14 @@ class Tapes:
     ----------
     file
         The file, for errors.
-    first_alone
+    first_line_only
         Name of a control for which a % opens the program only on the first line that is not empty,
         and ends the file on any other line; empty for other controls.
     """
 
-    def __init__(self, file: SourceFile, first_alone: str = "") -> None:
+    def __init__(self, file: SourceFile, first_line_only: str = "") -> None:
         self._file = file
-        self._first_alone = first_alone
+        self._first_line_only = first_line_only
         self._lines: list[int] = []
         self._written = False  # whether a line with text came before
 
@@ -283,10 +283,10 @@ class Tapes:
         JobError
             If the % closes a program that no % has opened.
         """
-        if self._first_alone and self._written and not self._lines:
+        if self._first_line_only and self._written and not self._lines:
             raise JobError(
-                f"{self._first_alone} ends the file with this %, since lines stand before it, and "
-                "runs nothing behind it",
+                f"{self._first_line_only} ends the file with this %, since lines stand before it, "
+                "and runs nothing behind it",
                 place=self._file.place(line),
                 remedy="Write it on the first line, or take out every line with a %.",
             )

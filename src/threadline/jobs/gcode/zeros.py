@@ -228,7 +228,7 @@ class Zeros:
         Target position of G28.
     machine
         Zero of the machine coordinates.
-    kept
+    saved_offset
         Shift of G92, which G92.3 restores; G92.2 suspends the shift and keeps it here.
     shifted
         Indices of the axes that a G92 has named.
@@ -248,32 +248,32 @@ class Zeros:
         self._length = (0,) * axes
         self._base: Sequence[int] = self._system  # the system, shifted by the tool length
         self.home = [0] * axes
-        self.kept = [0] * axes
+        self.saved_offset = [0] * axes
         self.shifted: set[int] = set()
 
-    def take(self, code: int, at: Sequence[int], given: Mapping[int, int]) -> None:
+    def take(self, code: int, at: Sequence[int], assigned: Mapping[int, int]) -> None:
         """Apply a G word (ten times its number) at the position ``at``.
 
         Parameters
         ----------
-        given
+        assigned
             Programmed position that G92 assigns to the present position, by axis index.
         """
         if code == _HOME:
             self.home = list(at)
         elif code in (SHIFT, SET_NATIVE):
             if code == SHIFT:
-                self.shifted.update(given)
+                self.shifted.update(assigned)
             self.offset = [
-                at[index] - given[index] if index in given else offset
+                at[index] - assigned[index] if index in assigned else offset
                 for index, offset in enumerate(self.offset)
             ]
-            self.kept = _shifted_by(self.offset, self._base, -1)
+            self.saved_offset = _shifted_by(self.offset, self._base, -1)
         elif code == _RESTORE:
-            self.offset = _shifted_by(self.kept, self._base, 1)
+            self.offset = _shifted_by(self.saved_offset, self._base, 1)
         else:
             if code != _SUSPEND:
-                self.kept = [0] * len(self.offset)
+                self.saved_offset = [0] * len(self.offset)
             self.offset = list(self._base)
 
     def choose(self, code: int) -> None:

@@ -89,24 +89,24 @@ def leg_points(table: ArcTable, leg: Leg, closed: bool, s: FloatArray) -> FloatA
 
 def _longest(points: FloatArray, step: float, settings: Stitching) -> FloatArray:
     """Return the (n,) length along the line of the longest stitch around each point."""
-    wanted, limit = settings.stitch_length_m, settings.bow_limit_m
+    stitch_m, limit = settings.stitch_length_m, settings.bow_limit_m
     count = len(points)
     index = np.arange(count)
-    lengths = np.full(count, wanted)
+    lengths = np.full(count, stitch_m)
     growing: NDArray[np.bool_] = np.ones(count, dtype=np.bool_)
     arc, chord, bow = (np.zeros(count) for _ in range(3))
     # The reach of a stitch grows in small steps. Linear interpolation between two steps errs
     # towards shorter stitches.
-    reach, most = 0, math.ceil(math.hypot(wanted, 2.0 * limit) / (2.0 * step))
+    reach, most = 0, math.ceil(math.hypot(stitch_m, 2.0 * limit) / (2.0 * step))
     while reach < most and growing.any():
         reach = min(most, max(reach + 1, math.ceil(reach * _GROWTH)))
         first, last = np.maximum(index - reach, 0), np.minimum(index + reach, count - 1)
         arc_now = (last - first) * step
         chord_now = np.hypot(*(points[last] - points[first]).T)
         bow_now = bow_m(arc_now, chord_now)
-        exceeds = growing & ((chord_now > wanted) | (bow_now > limit))
+        exceeds = growing & ((chord_now > stitch_m) | (bow_now > limit))
         share = np.ones(count)
-        for value, value_now, bound in ((chord, chord_now, wanted), (bow, bow_now, limit)):
+        for value, value_now, bound in ((chord, chord_now, stitch_m), (bow, bow_now, limit)):
             rising = exceeds & (value_now > bound)
             share[rising] = np.minimum(
                 share[rising], (bound - value[rising]) / (value_now[rising] - value[rising])
@@ -168,13 +168,13 @@ def stitch_lengths(
     On a leg of few stitches, not all stitches can be within the tolerance. The middle stitches then
     differ by half of the tolerance, and the four exempt stitches take the rest.
     """
-    wanted = settings.stitch_length_m
+    stitch_m = settings.stitch_length_m
     count = stitch_count(length_m, settings, accelerations, rests)
     even_m = _even_m(count, length_m, _loss(settings, accelerations, rests))
     lengths = _ramped(count, even_m, settings, accelerations, rests)
     lengths *= length_m / lengths.sum()
     share = _TOLERANCE_SHARE * settings.tolerance
-    middle = np.clip(even_m, wanted * (1.0 - share), wanted * (1.0 + share))
+    middle = np.clip(even_m, stitch_m * (1.0 - share), stitch_m * (1.0 + share))
     rest_accelerations = [a for rest_m, a in zip(rests, accelerations, strict=True) if rest_m]
     ramp_stitches = middle * settings.needle_speed_hz**2 / min(rest_accelerations, default=np.inf)
     # A ramp that reaches 1/20 into the next stitch shortens that stitch by a thousandth.
@@ -196,14 +196,14 @@ def stitch_count(
     On a leg too short for the head to reach its speed, the result is the least possible number,
     because more stitches would be even shorter.
     """
-    wanted = settings.stitch_length_m
+    stitch_m = settings.stitch_length_m
     loss = _loss(settings, accelerations, rests)
     least = max(1, math.ceil(math.sqrt(4.0 * loss * length_m) - 1e-9))
-    if loss * wanted >= length_m / wanted:
+    if loss * stitch_m >= length_m / stitch_m:
         return least
-    ideal = length_m / wanted + loss * wanted
+    ideal = length_m / stitch_m + loss * stitch_m
     counts = {max(least, math.floor(ideal)), max(least, math.ceil(ideal))}
-    return min(counts, key=lambda n: abs(math.log(_even_m(n, length_m, loss) / wanted)))
+    return min(counts, key=lambda n: abs(math.log(_even_m(n, length_m, loss) / stitch_m)))
 
 
 def _loss(settings: Stitching, accelerations: Accelerations, rests: tuple[bool, bool]) -> float:

@@ -58,10 +58,10 @@ def bare_of(winding: Winding) -> Bare:
         reach the axis, or the outer shape would be off by more than ``TOLERANCE_M``; the error
         names the place. Also if the thickness of the band is not known.
     """
-    wanted_shape = winding.product.surface
+    product_surface = winding.product.surface
     with_patterns = _with_fixed_patterns(winding)
-    u = np.linspace(0.0, wanted_shape.length_m, _POINTS)
-    x, r = wanted_shape.at(u)
+    u = np.linspace(0.0, product_surface.length_m, _POINTS)
+    x, r = product_surface.at(u)
     slope = np.hypot(x[:, 1], r[:, 1])
     outer = np.column_stack([x[:, 0], r[:, 0]])
     normal = np.column_stack([-r[:, 1], x[:, 1]]) / slope[:, None]

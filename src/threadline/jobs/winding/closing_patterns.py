@@ -68,8 +68,8 @@ class Pattern:
     dwell: float = math.nan
 
     @property
-    def ways(self) -> tuple[Closing, ...]:
-        """The ways to close it."""
+    def closings(self) -> tuple[Closing, ...]:
+        """What can close it."""
         closings: list[Closing] = []
         for name, value in (
             ("friction", self.ratio), ("angle", self.constant_m), ("dwell", self.dwell)
@@ -112,18 +112,18 @@ def patterns(wrap: Wrap) -> list[Pattern]:
                 layer, f"a layer would need {low} circuits, limit {_MOST_SHOWN}",
                 f"Is the band so narrow? If so, write circuits = {low} into the layer.",
             )  # fmt: skip
-    ways = _Ways(wrap)
-    closed_patterns = ways.closed(counts, layer.shift)
+    closings = _Closings(wrap)
+    closed_patterns = closings.closed(counts, layer.shift)
     by_dwell = layer.close == "dwell" or not wrap.domes
     closed_patterns.sort(
         key=lambda pattern: (pattern.dwell if by_dwell else abs(pattern.off), pattern.circuits)
     )
     if not closed_patterns:
-        wrap.winding.refuse(layer, f"no pattern {_asked_words(layer)}", _remedy(ways, counts))
+        wrap.winding.refuse(layer, f"no pattern {_asked_words(layer)}", _remedy(closings, counts))
     return closed_patterns
 
 
-class _Ways:
+class _Closings:
     """The ways to close the patterns of a layer."""
 
     def __init__(self, wrap: Wrap) -> None:
@@ -142,7 +142,7 @@ class _Ways:
                 pattern, ratio=self._frictions(pattern.off), constant_m=self._angles(pattern.off),
                 dwell=dwell,
             )  # fmt: skip
-            if candidate.ways and (close is None or close in candidate.ways):
+            if candidate.closings and (close is None or close in candidate.closings):
                 closing.append(candidate)
         return closing
 
@@ -187,7 +187,7 @@ def _asked_words(layer: Layer) -> str:
     return text + " closes" + (f" by {layer.close}" if layer.close else "")
 
 
-def _remedy(closing: _Ways, counts: Sequence[int]) -> str:
+def _remedy(closing: _Closings, counts: Sequence[int]) -> str:
     """Say how to close the pattern: by the nearest other one, or by how much friction."""
     wrap, remedies = closing.wrap, []
     if wrap.layer.close == "dwell":
@@ -261,11 +261,11 @@ def _by_friction(wrap: Wrap) -> Callable[[float], float]:
     return _inverse(samples[is_known], advances[is_known], wrap.base.advance)
 
 
-def _largest_succeeding(advance_at: Callable[[float], float], wanted: float) -> float:
-    """Return the largest value from 0 towards ``wanted`` at which a trial still succeeds."""
-    if not math.isnan(advance_at(wanted)):
-        return wanted
-    low, high = 0.0, wanted
+def _largest_succeeding(advance_at: Callable[[float], float], target: float) -> float:
+    """Return the largest value from 0 towards ``target`` at which a trial still succeeds."""
+    if not math.isnan(advance_at(target)):
+        return target
+    low, high = 0.0, target
     for _ in range(_HALVINGS):
         middle = 0.5 * (low + high)
         low, high = (low, middle) if math.isnan(advance_at(middle)) else (middle, high)
@@ -347,8 +347,8 @@ def chosen(wrap: Wrap, found: list[Pattern]) -> tuple[Pattern, Closing]:
     pattern = found[0]
     if wrap.layer.close is not None:
         return pattern, wrap.layer.close
-    ways: tuple[Closing, ...] = ("friction", "dwell", "angle")
-    for way in ways:
-        if way in pattern.ways:
+    preferred: tuple[Closing, ...] = ("friction", "dwell", "angle")
+    for way in preferred:
+        if way in pattern.closings:
             return pattern, way
     raise AssertionError("a listed pattern closes in one way at least")

@@ -219,7 +219,7 @@ def positions(tool: Tool, axes: tuple[str, ...], eye: FloatArray, at_m: float) -
     return columns
 
 
-def kept_points(eye: FloatArray, tolerance_m: float) -> IntArray:
+def chord_points(eye: FloatArray, tolerance_m: float) -> IntArray:
     """Return the points between which linear axes stay within a tolerance of the path.
 
     Parameters

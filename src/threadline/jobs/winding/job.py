@@ -23,7 +23,7 @@ from threadline.jobs.operations import (
 )
 from threadline.jobs.winding.build_up import Laid, bridged, design
 from threadline.jobs.winding.circuit import Circuit
-from threadline.jobs.winding.eye_path import EyePath, eye_path, kept_points, positions
+from threadline.jobs.winding.eye_path import EyePath, chord_points, eye_path, positions
 from threadline.jobs.winding.joins import Join, join
 from threadline.jobs.winding.laps import Grid, Laps, moves_of, on_grid
 from threadline.jobs.winding.layers import USUAL_SPEED_M_S, Winding, read_layers
@@ -41,7 +41,7 @@ _FIRST_CHORDS = 4.0  # times the tolerance: chords of the eye that are tried fir
 _HALVINGS = 6
 _JOIN_CHORDS = 0.5  # times the tolerance: chords of the eye in a join
 _NO_BETTER = 0.8  # times the error with steps twice as long
-_KEPT_SHARE = 0.9  # of the tolerance
+_TOLERANCE_SHARE = 0.9  # of the tolerance
 _CHECKED = 2  # circuits that are replayed
 _CHORD_M, _SAGITTA_M = 5e-4, 3e-7  # of the replay's check: on a large mandrel by the sagitta
 _TIED_M = 1e-3  # a tied place within this of the turn is the turn
@@ -203,8 +203,8 @@ def _eye(machine: Machine) -> Tool:
 def _join_laps(winding: Winding, join_path: Join, laid: Laid, machine: Machine, tool: Tool) -> Laps:
     """Return a join as positions of the axes; its rows are the only circuit."""
     path = _with_envelope(winding, laid, join_path.course, machine, tool)
-    kept = kept_points(path.eye, _JOIN_CHORDS * winding.tolerance_m)
-    laps = _timed(winding, laid, path, kept, machine, tool)
+    chord_rows = chord_points(path.eye, _JOIN_CHORDS * winding.tolerance_m)
+    laps = _timed(winding, laid, path, chord_rows, machine, tool)
     return replace(laps, count=1, further=np.zeros(len(machine.axis_names)))
 
 
@@ -215,7 +215,7 @@ def _laps(
     circuit = laid.circuit
     course = circuit.course(side)
     path = _with_envelope(winding, laid, course, machine, tool)
-    kept, off_m = _checked(winding, circuit, path, tool)
+    chord_rows, off_m = _checked(winding, circuit, path, tool)
     warnings = []
     place = Place(str(winding.path), laid.layer.line)
     if (hollow := bridged(laid)) is not None:
@@ -236,20 +236,20 @@ def _laps(
             f"{place}: {1e3 * path.slack_m:.3g} mm of fibre go "
             f"back through the eye at a turn, and {take_up_text}."
         )
-    return _timed(winding, laid, path, kept, machine, tool), tuple(warnings)
+    return _timed(winding, laid, path, chord_rows, machine, tool), tuple(warnings)
 
 
 def _timed(
-    winding: Winding, laid: Laid, path: EyePath, kept: IntArray, machine: Machine, tool: Tool
+    winding: Winding, laid: Laid, path: EyePath, chord_rows: IntArray, machine: Machine, tool: Tool
 ) -> Laps:
     """Return points of a path as positions of the axes, at the wanted speed of the fibre."""
-    points = positions(tool, machine.axis_names, path.eye[kept], winding.product.at.si)
+    points = positions(tool, machine.axis_names, path.eye[chord_rows], winding.product.at.si)
     further = np.zeros(len(machine.axis_names))
     assert tool.turn is not None
     further[machine.axis_names.index(tool.turn.axis)] = laid.circuit.advance / tool.turn.factor
     speed = winding.speed_m_s or USUAL_SPEED_M_S
-    used = np.diff(path.used_m[kept])
-    laid_m = np.diff(path.course[kept, 0])
+    used = np.diff(path.used_m[chord_rows])
+    laid_m = np.diff(path.course[chord_rows, 0])
     seconds = np.maximum(np.maximum(used, _LEAST_USED * laid_m) / speed, _LEAST_S)
     layer = laid.layer
     return Laps(points, further, seconds, laid.pattern.circuits, layer.line, layer.tension_n)
@@ -330,15 +330,15 @@ def _checked(
     With them comes the distance of the laid fibre from the design, m.
     """
     tolerance = _FIRST_CHORDS * winding.tolerance_m
-    kept, off_m = kept_points(path.eye, tolerance), math.inf
+    chord_rows, off_m = chord_points(path.eye, tolerance), math.inf
     for _ in range(_HALVINGS):
-        last_off, off_m = off_m, laid_error(circuit, path, path.eye[kept], tool)
+        last_off, off_m = off_m, laid_error(circuit, path, path.eye[chord_rows], tool)
         # A fibre over a hollow lies beside its design, however fine the steps are.
-        if off_m <= _KEPT_SHARE * winding.tolerance_m or off_m > _NO_BETTER * last_off:
+        if off_m <= _TOLERANCE_SHARE * winding.tolerance_m or off_m > _NO_BETTER * last_off:
             break
         tolerance *= 0.5
-        kept = kept_points(path.eye, tolerance)
-    return kept, off_m
+        chord_rows = chord_points(path.eye, tolerance)
+    return chord_rows, off_m
 
 
 def laid_error(circuit: Circuit, path: EyePath, eye: FloatArray, tool: Tool) -> float:

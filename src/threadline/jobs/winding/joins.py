@@ -87,7 +87,7 @@ def _joined_at(before: Laid, after: Laid, side: int, friction: float) -> Join | 
     surface = after.wrap.surface
     name = f"the join to layer {after.layer.number}: "
     sites_before, sites_after = _sites_on(before, surface), after.wrap.sites
-    constant, wanted_constant = before.circuit.constant_m, after.circuit.constant_m
+    constant, next_constant = before.circuit.constant_m, after.circuit.constant_m
     parts: list[FloatArray] = []
     site = sites_before[(side + 1) // 2]
     last_turn = before.circuit.right if side > 0 else before.circuit.left
@@ -98,13 +98,13 @@ def _joined_at(before: Laid, after: Laid, side: int, friction: float) -> Join | 
         side = -side
         end = sites_after[(side + 1) // 2]
         rows, ratio, reached = _rows_between(
-            surface, site, end, (constant, wanted_constant), friction
+            surface, site, end, (constant, next_constant), friction
         )
         if rows is None:
             break
         constant, largest_ratio = reached, max(largest_ratio, abs(ratio))
         _append_rows(parts, rows, -side)
-        if abs(constant - wanted_constant) < _SAME_M:
+        if abs(constant - next_constant) < _SAME_M:
             first_turn = after.circuit.right if side > 0 else after.circuit.left
             _append_rows(parts, first_turn.rows, -side)
             return Join(surface, np.vstack(parts), side, largest_ratio)
@@ -171,18 +171,18 @@ def _rows_between(
         radius = float(surface.at(rows[-1:, 1])[1][0, 0])
         return rows, radius * float(np.sin(rows[-1, 3]))
 
-    wanted = constants[1]
+    target = constants[1]
     low, high = -friction, friction
     rows, reached = traced_at(low)
-    if reached >= wanted:
+    if reached >= target:
         return rows, low, reached
     rows, reached = traced_at(high)
-    if reached <= wanted:
+    if reached <= target:
         return rows, high, reached
     for _ in range(_HALVINGS):
         middle = 0.5 * (low + high)
         rows, reached = traced_at(middle)
-        if reached > wanted:
+        if reached > target:
             high = middle
         else:
             low = middle

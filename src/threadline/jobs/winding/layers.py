@@ -31,7 +31,7 @@ _HOUR = re.compile(r"\s*(\d+(?:\.\d+)?)\s*([A-Z]{3})\s*/\s*h\s*")
 MOST_CIRCUITS = 100_000
 MARGIN = 0.9
 """Share of the lowest friction, within its tolerance, that a planned path uses."""
-GENTLE = 0.75
+OPEN_END_SHARE = 0.75
 """Share of ``MARGIN`` that a turn at an open end uses, if the mandrel is long enough for it."""
 USUAL_SPEED_M_S = 0.1
 """Speed of the fibre where the file names none."""

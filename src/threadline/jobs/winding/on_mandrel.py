@@ -17,7 +17,7 @@ from threadline.jobs.winding.circuit import (
     turns,
     widest,
 )
-from threadline.jobs.winding.layers import GENTLE, MARGIN, Layer, Winding
+from threadline.jobs.winding.layers import MARGIN, OPEN_END_SHARE, Layer, Winding
 from threadline.winding.surface import Surface
 
 _TURN = 2.0 * math.pi
@@ -202,7 +202,9 @@ def wrap_of(winding: Winding, layer: Layer, surface: Surface) -> Wrap:
             "Give begin a smaller place along the mandrel than end.",
         )
     both = (sites[0], sites[1])
-    left, right = (gentle_ratio(surface, site, constant, winding.friction, width) for site in both)
+    left, right = (
+        turn_friction_ratio(surface, site, constant, winding.friction, width) for site in both
+    )
     name = f"layer {layer.number}: "
     try:
         base = circuit_of(surface, both, constant, (left, right), name)
@@ -211,7 +213,7 @@ def wrap_of(winding: Winding, layer: Layer, surface: Surface) -> Wrap:
     return Wrap(winding, layer, surface, both, base, least, width, winding.friction, (left, right))
 
 
-def gentle_ratio(
+def turn_friction_ratio(
     surface: Surface, site: Site, constant_m: float, friction: float, width_m: float
 ) -> float:
     """Return the friction ratio with which a fibre turns: 0 on a dome.
@@ -226,7 +228,7 @@ def gentle_ratio(
     def fits(ratio: float) -> bool:
         return turns(surface, site, constant_m, ratio, end - site.side * half_band_m)
 
-    low, high = GENTLE / MARGIN * friction, friction
+    low, high = OPEN_END_SHARE / MARGIN * friction, friction
     if fits(low):
         return low
     if not fits(high):

@@ -90,7 +90,7 @@ class Settings:
     coupled
         Name, in the file, of kinematics in which a motor moves more than one axis but the limits
         apply to axes; empty for one motor per axis.
-    unheeded
+    ignored
         Settings that change the motion but have no place in a machine file: a sentence for each.
     notes
         Assumptions made during reading: a sentence for each.
@@ -104,10 +104,10 @@ class Settings:
     planner: dict[str, SettingValue] = field(default_factory=dict)
     turning: dict[str, bool] = field(default_factory=dict)
     coupled: str = ""
-    unheeded: list[str] = field(default_factory=list)
+    ignored: list[str] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
 
-    def say(
+    def record(
         self, axis: str, what: str, text: str, place: Place, name: str, typed: str | None = None
     ) -> None:
         """Set ``what`` of an axis to the number ``text``; ``name`` is its name in the file.
@@ -152,9 +152,9 @@ class Settings:
         self._refuse_another(self.planner.get(key), setting)
         self.planner[key] = setting
 
-    def leave_out(self, said: str, does: str, place: Place) -> None:
+    def leave_out(self, setting: str, does: str, place: Place) -> None:
         """Record a setting that changes the motion but that the planner ignores."""
-        self.unheeded.append(f"{place}: {said} {does}; the planner ignores it")
+        self.ignored.append(f"{place}: {setting} {does}; the planner ignores it")
 
     def shapes(self, name: str, place: Place) -> None:
         """Record that the firmware's input shaper is on; ``name`` is its name in the file."""
@@ -174,7 +174,7 @@ class Settings:
             remedy="Send G21 and dump the settings again.",
         )
 
-    def refuse_kinematics(self, said: str, place: Place) -> None:
+    def refuse_kinematics(self, setting: str, place: Place) -> None:
         """Refuse a machine in which a motor moves more than one axis.
 
         Raises
@@ -183,7 +183,7 @@ class Settings:
             Always.
         """
         raise MachineError(
-            f"{said}: settings can be read only for machines with one motor per axis",
+            f"{setting}: settings can be read only for machines with one motor per axis",
             place=place,
             remedy="Write the machine file by hand; see docs/machines.md.",
         )

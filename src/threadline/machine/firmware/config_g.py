@@ -19,19 +19,19 @@ from threadline.errors import MachineError, Place
 from threadline.machine.firmware.axis_settings import Settings, number_or_nan, times
 from threadline.machine.firmware.dump_lines import files_beside
 
-_OWN = re.compile(
+_ONLY_REPRAPFIRMWARE = re.compile(
     r"\s*M(?:(?:550|552|563|566|574|584|595|669|950)\s|350\s.*\sI[01]\b|98\s+P\".+\.g\")",
     re.IGNORECASE,
 )
 _LETTERS = "XYZABCUVW"
-_READ = {203: "rate", 201: "acceleration"}
-_OTHERS = (92, 204, 205, 208, 350, 566, 595)
+_AXIS_CODES = {203: "rate", 201: "acceleration"}
+_OTHER_CODES = (92, 204, 205, 208, 350, 566, 595)
 Steps = tuple[float, str, Place]
 _MICROSTEPS = 16.0  # default of a driver without M350
-_RING = 60  # smallest queue of moves; M595 P can only enlarge it
+_LEAST_QUEUE = 60  # smallest queue of moves; M595 P can only enlarge it
 _CODE = re.compile(r"M(\d{1,4})(?![\d.])(.*)$")
 _COMMANDS = re.compile(r"(?<=\s)(?=[GM]\d)")  # a line may hold several commands
-_RUNS = re.compile(r"\s*M98\s+P\"(?:0:)?(?:/sys/)?([^\"{}]+)\"\s*(?:;.*)?$", re.IGNORECASE)
+_RUN_FILE = re.compile(r"\s*M98\s+P\"(?:0:)?(?:/sys/)?([^\"{}]+)\"\s*(?:;.*)?$", re.IGNORECASE)
 _MOST_BYTES = 1_000_000
 _CONDITION = re.compile(r"\s*(?:if|elif|else|while)\b", re.IGNORECASE)
 _WORD = re.compile(r"([A-Z])\s*(-?[0-9.]+(?::-?[0-9.]+)*)(?=\s|[A-Z]|$)")
@@ -45,7 +45,7 @@ class _Read:
     ----------
     steps
         Steps of each axis per mm or degree, and the last line that set them.
-    micro
+    microsteps
         Microsteps of each axis, and the line of M350; ``_MICROSTEPS`` without M350.
     ends
         Lowest and highest position of each axis, with their lines.
@@ -53,13 +53,13 @@ class _Read:
 
     settings: Settings
     steps: dict[str, Steps] = field(default_factory=dict)
-    micro: dict[str, tuple[float, str, Place]] = field(default_factory=dict)
+    microsteps: dict[str, tuple[float, str, Place]] = field(default_factory=dict)
     ends: dict[str, dict[str, tuple[float, Place]]] = field(default_factory=dict)
 
 
 def is_config_g(lines: Sequence[str]) -> bool:
     """Return whether lines hold commands that only RepRapFirmware has."""
-    return any(_OWN.match(line) for line in lines)
+    return any(_ONLY_REPRAPFIRMWARE.match(line) for line in lines)
 
 
 def read_config_g(lines: Sequence[str], file: str) -> Settings:
@@ -76,12 +76,12 @@ def read_config_g(lines: Sequence[str], file: str) -> Settings:
     for letter, axis_ends in read.ends.items():
         if letter in read.steps and len(axis_ends) == 2:
             (low, _), (high, place) = axis_ends["low"], axis_ends["high"]
-            settings.say(letter, "travel", repr(high - low), place, f"M208 {letter}")
+            settings.record(letter, "travel", repr(high - low), place, f"M208 {letter}")
     for letter, (value, typed, place) in read.steps.items():
-        settings.say(letter, "steps", repr(value), place, f"M92 {letter}", typed)
-    for letter, (_, typed, place) in read.micro.items():
+        settings.record(letter, "steps", repr(value), place, f"M92 {letter}", typed)
+    for letter, (_, typed, place) in read.microsteps.items():
         if letter in read.steps:
-            settings.say(letter, "microsteps", typed, place, f"M350 {letter}")
+            settings.record(letter, "microsteps", typed, place, f"M350 {letter}")
     return settings
 
 
@@ -99,7 +99,7 @@ def _read_lines(read: _Read, lines: Sequence[str], open_files: tuple[Path, ...],
         if _CONDITION.match(code_text):
             condition_indent = indent if condition_indent < 0 else condition_indent
             continue
-        runs = _RUNS.match(line)
+        runs = _RUN_FILE.match(line)
         if runs is not None and condition_indent < 0:
             for path in _files_run(runs[1], place, settings, open_files):
                 text = read_text(path, _MOST_BYTES, MachineError, "settings file")
@@ -109,7 +109,7 @@ def _read_lines(read: _Read, lines: Sequence[str], open_files: tuple[Path, ...],
         for command in _COMMANDS.split(commands):
             match = _CODE.match(command)
             code = int(match[1]) if match is not None else 0
-            if match is None or (code not in _READ and code not in _OTHERS):
+            if match is None or (code not in _AXIS_CODES and code not in _OTHER_CODES):
                 _note_other(settings, command, line, place)
                 continue
             if condition_indent >= 0:
@@ -134,7 +134,7 @@ def _files_run(
     """Yield the file that M98 runs, if it lies in the folder of the first file; else note it."""
     paths = files_beside(glob.escape(name), open_files[0].parent)
     if not paths:
-        settings.unheeded.append(
+        settings.ignored.append(
             f"{place}: the file run by M98 is not read: no such file beside this one "
             f"({name[:60]}); put its settings of axes in its place"
         )
@@ -155,7 +155,7 @@ def _take(read: _Read, code: int, words: dict[str, str], place: Place) -> None:
         name = f"M{code} {letter}"
         if code == 595 and letter == "P":
             settings.set_planner("blocks", text, place, name, zero=False)
-            if settings.planner["blocks"].value < _RING:  # the queue never shrinks
+            if settings.planner["blocks"].value < _LEAST_QUEUE:  # the queue never shrinks
                 del settings.planner["blocks"]
         elif code == 566 and letter == "P":
             settings.set_planner("policy", text, place, name)
@@ -178,13 +178,13 @@ def _take(read: _Read, code: int, words: dict[str, str], place: Place) -> None:
             if letter in read.steps:  # the firmware keeps the travel per full step
                 steps, typed, steps_place = read.steps[letter]
                 read.steps[letter] = steps * value / micro_before, typed, steps_place
-            read.micro[letter] = value, text, place
-        elif code in _READ:
-            settings.say(letter, _READ[code], text, place, name)
+            read.microsteps[letter] = value, text, place
+        elif code in _AXIS_CODES:
+            settings.record(letter, _AXIS_CODES[code], text, place, name)
 
 
 def _microsteps_of(read: _Read, letter: str) -> float:
-    return read.micro[letter][0] if letter in read.micro else _MICROSTEPS
+    return read.microsteps[letter][0] if letter in read.microsteps else _MICROSTEPS
 
 
 def _note_other(settings: Settings, plain: str, line: str, place: Place) -> None:
@@ -203,7 +203,7 @@ def _note_other(settings: Settings, plain: str, line: str, place: Place) -> None
         settings.shapes("M593", place)
     runs = re.match(r"(M98|M501)\b", plain)
     if runs is not None:
-        settings.unheeded.append(
+        settings.ignored.append(
             f"{place}: the file run by {runs[1]} is not read; put its settings of axes in its place"
         )
     words = {letter: number_or_nan(text) for letter, text in _WORD.findall(plain[4:])}

@@ -26,7 +26,7 @@ _GRBL_AXES = "XYZABC"
 _DEVIATION = 11
 _GRBL = {100: "steps", 110: "rate", 120: "acceleration", 130: "travel"}
 _SETTING = re.compile(r"\$(\d{1,3})\s*=\s*([^\s(;,>]*)")
-_ALONE = re.compile(r"\$\d{1,3}$")  # query of a single setting in grblHAL
+_QUERY = re.compile(r"\$\d{1,3}$")  # query of a single setting in grblHAL
 _COMMENT = re.compile(r"\s*(?:[A-Za-z(;,>|/#<\[-].*)?$")
 _SETTING_AMID = re.compile(r"(?<![\w$])\$1[0-3]\d\s*=")
 _OPTIONS = re.compile(r"\[OPT:([A-Z+0-9]*)")
@@ -103,7 +103,7 @@ def read_grbl(lines: Sequence[str], file: str) -> Settings:
                 f"{setting.place}: {name}={setting.text}: {_NONE_IS_ZERO} ({quantity})"
             )
             continue
-        settings.say(letter, quantity, setting.text, setting.place, name)
+        settings.record(letter, quantity, setting.text, setting.place, name)
     if not steps_given and absent:
         settings.axes.clear()
     return settings
@@ -122,7 +122,7 @@ def _settings_of(line: DumpLine) -> list[DumpSetting]:
         if _SETTING_AMID.search(text.split(";", 1)[0]):
             raise unknown(text, line.place, "$110=5000.000, with nothing before the $")
         return []
-    if _ALONE.match(text):
+    if _QUERY.match(text):
         return []
     settings, position = [], 0
     while (match := _SETTING.match(text, position)) is not None:
@@ -178,7 +178,7 @@ def read_fluidnc(lines: Sequence[str], file: str) -> Settings:
             letter = parents[1].upper()
             if letter in _LETTERS:
                 name = f"axes.{parents[1]}.{key}"
-                settings.say(letter, _FLUIDNC[key], value, place, name)
+                settings.record(letter, _FLUIDNC[key], value, place, name)
         elif parents == ["kinematics"] and key != "cartesian":
             settings.refuse_kinematics(f"kinematics: {typed[:40]}", place)
         elif not parents and key == "kinematics" and value.lower() not in ("", "cartesian"):
@@ -188,7 +188,7 @@ def read_fluidnc(lines: Sequence[str], file: str) -> Settings:
     for letter, axis in settings.axes.items():
         for quantity, default in _FLUIDNC_TAKES.items():
             if getattr(axis, quantity) is None:
-                settings.say(letter, quantity, default, Place(file), "default of fluidnc")
+                settings.record(letter, quantity, default, Place(file), "default of fluidnc")
     return settings
 
 

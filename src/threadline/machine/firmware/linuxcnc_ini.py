@@ -214,19 +214,19 @@ def _set_axis(settings: Settings, letter: str, axis: Keys, joint: Keys, factor: 
             limits_given, key=lambda limit: _number_or_negative(limit[0][0])
         )
         name = f"[{'JOINT' if of_joint and axis else 'AXIS'}] {letter} {key}"
-        settings.say(letter, quantity, times(text, a_minute * factor), place, name, text)
+        settings.record(letter, quantity, times(text, a_minute * factor), place, name, text)
     for key in _SCALES:
         if key in joint:
             text, place = joint[key]
             size = repr(abs(number_or_nan(text)) / factor)
-            settings.say(letter, "steps", size, place, f"{letter} {key}", text.removeprefix("-"))
+            settings.record(letter, "steps", size, place, f"{letter} {key}", text.removeprefix("-"))
             break
     low, high = (_first_of(key, axis, joint) for key in ("MIN_LIMIT", "MAX_LIMIT"))
     if low is not None and high is not None and not settings.turning[letter]:
         travel = number_or_nan(high[0]) - number_or_nan(low[0])
         if not travel >= _ENDLESS:
             name = f"{letter} MIN_LIMIT {low[0]} MAX_LIMIT"
-            settings.say(letter, "travel", repr(travel * factor), high[1], name)
+            settings.record(letter, "travel", repr(travel * factor), high[1], name)
     for keys in (axis, joint):
         if keys.get("WRAPPED_ROTARY", ("0", None))[0] not in ("", "0"):
             settings.axes[letter].wrapped = settings.turning[letter]
@@ -239,7 +239,7 @@ def _set_axis(settings: Settings, letter: str, axis: Keys, joint: Keys, factor: 
 
 def _number_or_negative(text: str) -> float:
     number = number_or_nan(text)
-    return -1.0 if math.isnan(number) else number  # ``say`` refuses other texts
+    return -1.0 if math.isnan(number) else number  # ``record`` refuses other texts
 
 
 def _first_of(key: str, *sections: Keys) -> tuple[str, Place] | None:
@@ -261,7 +261,7 @@ def _path_limits(settings: Settings, traj: Mapping[str, tuple[str, Place]], leng
     ]
     for axis in slower:
         settings.axes[axis].rate = None
-        settings.say(
+        settings.record(
             axis,
             "rate",
             repr(path_rate),

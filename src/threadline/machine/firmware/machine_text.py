@@ -41,19 +41,19 @@ _OF_AN_AXIS = frozenset(QUESTIONS) - {"rotary"} | frozenset(OPTIONAL)
 class Answers:
     """The owner's answers, by name, or by name and axis (``mass.X``)."""
 
-    given: dict[str, str]
+    texts: dict[str, str]
 
     @property
     def rotary(self) -> str:
         """Letters of the rotary axes; empty if there are none."""
-        answer = self.given.get("rotary", "")
+        answer = self.texts.get("rotary", "")
         if answer.lower() in _NONE:
             return ""
         return "".join(c for c in answer.upper() if c.isalpha())
 
     def of(self, name: str, axis: str) -> str | None:
         """Return the answer for an axis, else the answer for all axes, else None."""
-        return self.given.get(f"{name}.{axis}", self.given.get(name))
+        return self.texts.get(f"{name}.{axis}", self.texts.get(name))
 
 
 def parse_answers(texts: Sequence[str]) -> Answers:
@@ -64,7 +64,7 @@ def parse_answers(texts: Sequence[str]) -> Answers:
     OptionError
         If an answer has another form or an unknown name, or is given twice.
     """
-    given: dict[str, str] = {}
+    texts_by_name: dict[str, str] = {}
     known = {**QUESTIONS, **OPTIONAL}
     for text in texts:
         name, equals, value = (part.strip() for part in text.partition("="))
@@ -78,10 +78,10 @@ def parse_answers(texts: Sequence[str]) -> Answers:
                 remedy=f'{hint}Write it like --set "mass=1.2 kg"; names: {", ".join(known)}.',
             )
         key = f"{base}.{axis.upper()}" if dot else base
-        if key in given:
+        if key in texts_by_name:
             raise OptionError(f"--set {key} is given twice", remedy="Keep one of them.")
-        given[key] = value
-    return Answers(given)
+        texts_by_name[key] = value
+    return Answers(texts_by_name)
 
 
 _FULL_STEPS = 200
@@ -166,7 +166,7 @@ def _answer_forms(missing: Sequence[Missing]) -> Iterator[str]:
 
 def turning_axes(settings: Settings, answers: Answers) -> str:
     """Return the letters of the rotary axes, from the owner if given, else from the settings."""
-    if "rotary" in answers.given:
+    if "rotary" in answers.texts:
         return answers.rotary
     return "".join(axis for axis in settings.axes if settings.turning.get(axis, False))
 
@@ -244,7 +244,7 @@ def check_answers(settings: Settings, answers: Answers) -> None:
         If there is such an answer.
     """
     turning = turning_axes(settings, answers)
-    answer_axes = [key.partition(".")[2] for key in answers.given if "." in key]
+    answer_axes = [key.partition(".")[2] for key in answers.texts if "." in key]
     unknown_axes = [axis for axis in [*answers.rotary, *answer_axes] if axis not in settings.axes]
     if unknown_axes:
         raise OptionError(
@@ -252,13 +252,13 @@ def check_answers(settings: Settings, answers: Answers) -> None:
             remedy=f"They have {', '.join(settings.axes)}.",
         )
     for axis, turns in settings.turning.items():
-        if "rotary" in answers.given and turns != (axis in answers.rotary):
+        if "rotary" in answers.texts and turns != (axis in answers.rotary):
             raise OptionError(
                 f"the settings say that {axis} {'turns' if turns else 'moves along a line'}, and "
-                f"rotary={answers.given['rotary'][:20]} says otherwise",
+                f"rotary={answers.texts['rotary'][:20]} says otherwise",
                 remedy="Leave rotary out.",
             )
-    for key, text in answers.given.items():
+    for key, text in answers.texts.items():
         base, _, axis = key.partition(".")
         if base == "rotary":
             continue
@@ -283,11 +283,11 @@ def check_answers(settings: Settings, answers: Answers) -> None:
 
 def names_dynamics(answers: Answers) -> bool:
     """Return whether an answer concerns motors or masses."""
-    return any(key.partition(".")[0] in _OF_DYNAMICS for key in answers.given)
+    return any(key.partition(".")[0] in _OF_DYNAMICS for key in answers.texts)
 
 
 def _refuse_dynamics(answers: Answers) -> None:
-    for key in answers.given:
+    for key in answers.texts:
         if key.partition(".")[0] in _OF_DYNAMICS:
             raise OptionError(
                 f"--set {key} concerns motors and masses, which --limits-only omits",
@@ -302,33 +302,33 @@ def _missing(
         axis for axis in settings.axes if axis in _MAY_TURN and axis not in settings.turning
     ]
     turning = turning_axes(settings, answers)
-    if may_turn and "rotary" not in answers.given:
+    if may_turn and "rotary" not in answers.texts:
         quantity, _ = QUESTIONS["rotary"]
         turning += "".join(may_turn)  # as if rotary, so that the list of missing numbers is whole
         yield "rotary", (quantity, turning)
-    for axis, said in settings.axes.items():
+    for axis, axis_settings in settings.axes.items():
         turns = axis in turning
         if not limits_only:
-            yield from _missing_of_motor(axis, said, answers, turns)
+            yield from _missing_of_motor(axis, axis_settings, answers, turns)
         for quantity in ("steps", "rate", "acceleration"):
             answer = (
-                answers.given.get(f"{quantity}.{axis}") if turns else answers.of(quantity, axis)
+                answers.texts.get(f"{quantity}.{axis}") if turns else answers.of(quantity, axis)
             )
-            if getattr(said, quantity) is None and answer is None:
+            if getattr(axis_settings, quantity) is None and answer is None:
                 yield f"{quantity}.{axis}", _TURNS[quantity] if turns else OPTIONAL[quantity]
-        if not turns and said.travel is None and answers.of("travel", axis) is None:
+        if not turns and axis_settings.travel is None and answers.of("travel", axis) is None:
             yield f"travel.{axis}", OPTIONAL["travel"]
-    if turning and "radius" not in answers.given:
+    if turning and "radius" not in answers.texts:
         yield "radius", QUESTIONS["radius"]
 
 
 def _missing_of_motor(
-    axis: str, said: AxisSettings, answers: Answers, turns: bool
+    axis: str, axis_settings: AxisSettings, answers: Answers, turns: bool
 ) -> Iterator[tuple[str, tuple[str, str]]]:
     for name in ("torque", "current", "resistance", "inductance", "supply"):
         if answers.of(name, axis) is None:
             yield name, QUESTIONS[name]
-    if said.microsteps is None and answers.of("microsteps", axis) is None:
+    if axis_settings.microsteps is None and answers.of("microsteps", axis) is None:
         yield "microsteps", QUESTIONS["microsteps"]
     load = "inertia" if turns else "mass"
     if answers.of(load, axis) is None:
@@ -354,14 +354,16 @@ def _planner(settings: Settings, turning: str) -> Iterator[str]:
         )
         yield f"jump = {{ {', '.join(texts)} }}"
     yield from (f"{key} = true" for key in _SWITCHES if key in planner)
-    if settings.unheeded:
-        texts = (f'"{_printable(text)}"' for text in settings.unheeded)
+    if settings.ignored:
+        texts = (f'"{_printable(text)}"' for text in settings.ignored)
         yield f"left_out = [{', '.join(texts)}]"
-    alone = {key[-1]: value for key, value in planner.items() if key.startswith("alone.")}
-    if alone:
+    axis_accelerations = {
+        key[-1]: value for key, value in planner.items() if key.startswith("alone.")
+    }
+    if axis_accelerations:
         texts = (
             f'{axis} = "{_planner_value(value, f"{_unit(axis, turning)}/s^2", firmware)}"'
-            for axis, value in alone.items()
+            for axis, value in axis_accelerations.items()
         )
         yield f"alone = {{ {', '.join(texts)} }}"
     for key, unit in _PLANNER_KEYS[_PLANNERS[firmware]].items():
@@ -398,10 +400,10 @@ def _planner_value(setting: SettingValue, unit: str, firmware: str) -> str:
     return f"{setting.value!r} {unit}".rstrip() + f" exact, {_source(setting, firmware)}"
 
 
-def _source(said: SettingValue, firmware: str) -> str:
-    if not said.place.line:
-        return f"assumed: the {said.name}"
-    return f"checked: {firmware}, {said.name} in {said.source}"
+def _source(setting: SettingValue, firmware: str) -> str:
+    if not setting.place.line:
+        return f"assumed: the {setting.name}"
+    return f"checked: {firmware}, {setting.name} in {setting.source}"
 
 
 def _kinematic(axis: str) -> Iterator[str]:
@@ -410,10 +412,16 @@ def _kinematic(axis: str) -> Iterator[str]:
     yield 'clock = "pulse"'
 
 
-def _stepper(axis: str, said: AxisSettings, answers: Answers, turns: bool) -> Iterator[str]:
+def _stepper(
+    axis: str, axis_settings: AxisSettings, answers: Answers, turns: bool
+) -> Iterator[str]:
     unit = "deg" if turns else "mm"
-    steps = _steps(axis, said, answers, turns)
-    micro = said.microsteps.value if said.microsteps else _number(answers, "microsteps", axis)
+    steps = _steps(axis, axis_settings, answers, turns)
+    micro = (
+        axis_settings.microsteps.value
+        if axis_settings.microsteps
+        else _number(answers, "microsteps", axis)
+    )
     # A turn of the motor moves the axis by full steps x microsteps / steps, in mm or degrees.
     per_turn = _FULL_STEPS * micro / steps
     lever = (math.radians(per_turn) if turns else per_turn / 1e3) / (2.0 * math.pi)
@@ -447,11 +455,11 @@ def _stepper(axis: str, said: AxisSettings, answers: Answers, turns: bool) -> It
     ) + " }"  # fmt: skip
 
 
-def _steps(axis: str, said: AxisSettings, answers: Answers, turns: bool) -> float:
+def _steps(axis: str, axis_settings: AxisSettings, answers: Answers, turns: bool) -> float:
     """Return the steps of an axis per mm or degree."""
-    if said.steps is not None:
-        return said.steps.value
-    answer = answers.given.get(f"steps.{axis}") if turns else answers.of("steps", axis)
+    if axis_settings.steps is not None:
+        return axis_settings.steps.value
+    answer = answers.texts.get(f"steps.{axis}") if turns else answers.of("steps", axis)
     if turns:
         return parse_quantity(answer or "", "count/rad") * math.radians(1.0)
     return parse_quantity(answer or "", "count/m") / 1e3
@@ -489,10 +497,15 @@ def _limits_of(
 
 
 def _limit(
-    said: SettingValue | None, answers: Answers, name: str, axis: str, unit: str, firmware: str
+    setting: SettingValue | None,
+    answers: Answers,
+    name: str,
+    axis: str,
+    unit: str,
+    firmware: str,
 ) -> str:
-    if said is not None:
-        return f"{said.value!r} {unit} exact, {_source(said, firmware)}"
+    if setting is not None:
+        return f"{setting.value!r} {unit} exact, {_source(setting, firmware)}"
     return f"{answers.of(name, axis)} exact, assumed: the owner"
 
 

@@ -42,7 +42,7 @@ _WORD = re.compile(r"\s*([A-LN-Z])\s*(-?(?:\d+\.?\d*|\.\d+))(?![\d.])")
 _COMMENT = re.compile(r"\s*(?:$|[;#(<*/>-].*|=.*)")
 _HEEDED = (206, 420, 425, 493, 593, 665, 666, 852)
 _ASSUMED = "default of marlin"
-_ALONE = (2, 1, 3)
+_CORNERS_BY_JERK = (2, 1, 3)
 """First version in which axis acceleration does not bound the speed through a corner."""
 _DEFAULT_JERK = {FIRST: {"X": "20", "Y": "20", "Z": "0.4"}}
 _LATER_JERK = {"X": "10", "Y": "10", "Z": "0.3"}
@@ -197,7 +197,9 @@ def _interpret(settings: Settings, evidence: _Evidence, kept: Sequence[DumpSetti
         code, letter = int(setting.key[1:].split()[0]), setting.key[-1]
         if code in _OF_AXES and letter in _LETTERS:
             written = times(setting.text, 60.0) if code == 203 else setting.text  # mm/s there
-            settings.say(letter, _OF_AXES[code], written, setting.place, setting.key, setting.text)
+            settings.record(
+                letter, _OF_AXES[code], written, setting.place, setting.key, setting.text
+            )
         elif code in _ENDS and letter in _LETTERS:
             ends.setdefault(letter, {})[_ENDS[code]] = setting.text, setting.place
         elif code == 201 and letter == "F" and number_or_nan(setting.text) != 0.0:
@@ -232,7 +234,7 @@ def _interpret(settings: Settings, evidence: _Evidence, kept: Sequence[DumpSetti
         if letter in settings.axes and len(axis_ends) == 2:
             text, place = axis_ends["high"]
             way = number_or_nan(text) - number_or_nan(axis_ends["low"][0])
-            settings.say(letter, "travel", repr(way), place, f"M211 {letter}", text)
+            settings.record(letter, "travel", repr(way), place, f"M211 {letter}", text)
     if "acceleration" not in settings.planner and "M204 P" in keys:
         settings.notes.append(
             f"M204 {travel_letters[form]} is missing: moves without extrusion are limited only "
@@ -278,7 +280,7 @@ def _set_corner_axes(settings: Settings, evidence: _Evidence) -> None:
         )
         return
     version, place = evidence.version
-    if version < _ALONE:
+    if version < _CORNERS_BY_JERK:
         settings.set_planner("corner_axes", "1", place, "Marlin " + ".".join(map(str, version)))
 
 

@@ -227,7 +227,7 @@ def _note_axis(settings: Settings, read: _File, code: str, place: Place) -> None
         return
     words = dict(_WORD.findall(command[1]))
     if not letters[1]:
-        settings.unheeded.append(
+        settings.ignored.append(
             f"{place}: GCODE_AXIS= removes the axis again; programs are planned for the time before"
         )
     elif len(letters[1]) > 1:
@@ -251,7 +251,7 @@ def _from_kinematics(
     ):
         if key in printer:
             text, place = printer[key]
-            settings.say(axis, quantity, times(text, factor), place, f"[printer] {key}", text)
+            settings.record(axis, quantity, times(text, factor), place, f"[printer] {key}", text)
 
 
 def _from_manual_stepper(settings: Settings, section: str, keys: Keys, read: _File) -> None:
@@ -277,13 +277,13 @@ def _from_manual_stepper(settings: Settings, section: str, keys: Keys, read: _Fi
                 remedy="Give it another letter.",
             )
         example = f"MANUAL_STEPPER STEPPER={name.lower()} GCODE_AXIS=A LIMIT_VELOCITY=..."
-        settings.unheeded.append(
+        settings.ignored.append(
             f"{line}: [{section}] is omitted: no macro of this file makes "
             f"it an axis of programs, as {example} would"
         )
         return
     if not commands:
-        settings.unheeded.append(
+        settings.ignored.append(
             f"{line}: [{section}] is read as the axis {axis}, assuming "
             f"MANUAL_STEPPER STEPPER={name.lower()} GCODE_AXIS={axis}"
         )
@@ -312,7 +312,9 @@ def _from_manual_stepper(settings: Settings, section: str, keys: Keys, read: _Fi
             )
         for word, (quantity, factor) in _OF_AXIS.items():
             if word in words:
-                settings.say(axis, quantity, times(words[word], factor), number, word, words[word])
+                settings.record(
+                    axis, quantity, times(words[word], factor), number, word, words[word]
+                )
         jump = words.get("INSTANTANEOUS_CORNER_VELOCITY")
         if jump is not None:
             name_of_it = "INSTANTANEOUS_CORNER_VELOCITY"
@@ -355,14 +357,14 @@ def _steps(settings: Settings, axis: str, keys: Keys, section: str) -> None:
                 place=line,
                 remedy="Correct the wrong one.",
             )
-        settings.say(axis, "steps", repr(steps), line, f"[{section}] rotation_distance", typed)
-        settings.say(axis, "microsteps", *keys["microsteps"], f"[{section}] microsteps")
+        settings.record(axis, "steps", repr(steps), line, f"[{section}] rotation_distance", typed)
+        settings.record(axis, "microsteps", *keys["microsteps"], f"[{section}] microsteps")
     elif "step_distance" in keys:  # until 2020
         typed, line = keys["step_distance"]
         steps = 1.0 / settings.number(typed, line, f"[{section}] step_distance")
-        settings.say(axis, "steps", repr(steps), line, f"[{section}] step_distance", typed)
+        settings.record(axis, "steps", repr(steps), line, f"[{section}] step_distance", typed)
     if "position_max" in keys:
         travel = number("position_max", "200") - number("position_min", "0")
-        settings.say(
+        settings.record(
             axis, "travel", repr(travel), keys["position_max"][1], f"[{section}] position_max"
         )

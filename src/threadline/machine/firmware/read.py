@@ -59,7 +59,7 @@ def read_settings(path: str | Path, firmware: str = "") -> Settings:
             else:
                 settings = read(lines, str(path))
             if not settings.axes:
-                notes = (*settings.notes, *settings.unheeded)
+                notes = (*settings.notes, *settings.ignored)
                 absent = "".join(f"; {note}" for note in notes if _ABSENT in note)
                 raise MachineError(
                     f"the settings contain no axis ({settings.firmware}){absent}",

@@ -347,7 +347,7 @@ def _warnings_of_rows(cam: MeasuredCam, rise: Rise, outliers: tuple[int, ...]) -
             "measured again"
         )
     if not (rise.start_found and rise.end_found):
-        warnings += [line for line in rise.said if "no dwell" in line]
+        warnings += [line for line in rise.sentences if "no dwell" in line]
     return warnings
 
 

@@ -49,7 +49,7 @@ class Rise:
         of the table.
     start_within_rad, end_within_rad
         Interval of each end at ``CONFIDENCE``; None unless the end was found.
-    said
+    sentences
         A sentence about the start and one about the end: where it is, and how it was found.
     """
 
@@ -59,7 +59,7 @@ class Rise:
     end_found: bool
     start_within_rad: Within
     end_within_rad: Within
-    said: tuple[str, ...]
+    sentences: tuple[str, ...]
 
 
 def noise_of(x: FloatArray, y: FloatArray) -> float:
@@ -160,8 +160,8 @@ def rise_of(
     therefore fitted, together with the shape of the rise, to all rows: each of the laws by name,
     and rises of free shape that leave their ends with the second to the fifth power of the time.
     The weight of a shape is its probability given the rows. Without a dwell the table begins or
-    ends within the rise. Then the end of the table is taken as the end of the rise, and ``said``
-    reports it.
+    ends within the rise. Then the end of the table is taken as the end of the rise, and
+    ``sentences`` reports it.
 
     Parameters
     ----------
@@ -190,7 +190,7 @@ def rise_of(
         )
     free = (starts_in_dwell and start_rad is None, ends_in_dwell and end_rad is None)
     (start, end), within = _ends(alpha_rad, follower, follower_noise, (start, end), free)
-    said = []
+    sentences = []
     for verb, given_rad, angle_rad, interval_rad in (
         ("starts", start_rad, start, within[0]),
         ("ends", end_rad, end, within[1]),
@@ -207,11 +207,11 @@ def rise_of(
             else "at the beginning of the table, where it already moves: no dwell of "
             f"{_DWELL} rows shows the true start"
         )
-        said.append(f"the rise {verb} at {np.degrees(angle_rad):.4g} deg, {explanation}")
+        sentences.append(f"the rise {verb} at {np.degrees(angle_rad):.4g} deg, {explanation}")
     return Rise(
         start_rad=start, end_rad=end, start_found=starts_in_dwell and start_rad is None,
         end_found=ends_in_dwell and end_rad is None, start_within_rad=within[0],
-        end_within_rad=within[1], said=tuple(said),
+        end_within_rad=within[1], sentences=tuple(sentences),
     )  # fmt: skip
 
 

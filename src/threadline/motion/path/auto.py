@@ -88,7 +88,7 @@ class _Run:
     vertices: Vertices | None = None
     controls: Controls | None = None
     first_chord: int = 0  # first chord between ``vertices`` that is not yet in ``controls``
-    begins: bool = True  # whether the run begins with the first of ``vertices``
+    is_first: bool = True  # whether the run begins with the first of ``vertices``
     begun: bool = False  # whether pieces of this run were yielded already
     added: int = 0  # number of control points so far that are not vertices
 
@@ -114,56 +114,58 @@ class _Run:
             tight_corners = tight_corners[tight_corners >= max(self.first_chord, 1)]
             if not len(tight_corners):
                 break
-            yield from self._advance(int(tight_corners[0]), length, turn, ends=True, dwell_s=0.0)
+            yield from self._advance(int(tight_corners[0]), length, turn, is_last=True, dwell_s=0.0)
         count = len(self.vertices)
-        if chunk.ends:
-            yield from self._advance(count - 1, length, turn, ends=True, dwell_s=chunk.dwell_s)
+        if chunk.is_last:
+            yield from self._advance(count - 1, length, turn, is_last=True, dwell_s=chunk.dwell_s)
         elif count - 1 - self._ahead > self.first_chord:
             stop = count - 1 - self._ahead
-            yield from self._advance(stop, length, turn, ends=False, dwell_s=0.0)
+            yield from self._advance(stop, length, turn, is_last=False, dwell_s=0.0)
 
     def _advance(
-        self, stop: int, length: FloatArray, turn: FloatArray, *, ends: bool, dwell_s: float
+        self, stop: int, length: FloatArray, turn: FloatArray, *, is_last: bool, dwell_s: float
     ) -> Iterator[PieceBlock]:
         """Turn the chords up to vertex ``stop`` into control points, and these into pieces."""
         assert self.vertices is not None
         vertices = self.vertices
-        if ends:
+        if is_last:
             length, turn = length[:stop], np.append(turn[:stop], 0.0)
-        if ends and stop == 0 and self.controls is None:
+        if is_last and stop == 0 and self.controls is None:
             if dwell_s > 0:
                 yield _pause(vertices, dwell_s)
             return
         if self.controls is None:
             self.controls = _start_of(vertices)
         if stop > self.first_chord:
-            chords = Chords(self.first_chord, stop, self.begins, ends)
+            chords = Chords(self.first_chord, stop, self.is_first, is_last)
             new_controls = control_polygon(vertices, length, turn, self.cut_m, chords, self.degree)
             self.controls = join_controls(self.controls, new_controls)
             self.added += int(new_controls.added.sum())
-        yield from self._settle(ends, dwell_s)
-        if ends:
+        yield from self._settle(is_last, dwell_s)
+        if is_last:
             self.vertices, self.first_chord = vertices.take(slice(stop, None)), 0
-            self.begins = True
+            self.is_first = True
         else:
             first_kept = max(stop - self._ahead, 0)
-            self.begins = self.begins and first_kept == 0
+            self.is_first = self.is_first and first_kept == 0
             self.vertices, self.first_chord = (
                 vertices.take(slice(first_kept, None)),
                 stop - first_kept,
             )
 
-    def _settle(self, ends: bool, dwell_s: float) -> Iterator[PieceBlock]:
+    def _settle(self, is_last: bool, dwell_s: float) -> Iterator[PieceBlock]:
         controls = self.controls
         assert controls is not None
         first = self._carried if self.begun else 0
-        stop = len(controls) - 1 - (0 if ends else self._carried)
+        stop = len(controls) - 1 - (0 if is_last else self._carried)
         # The first pieces of a run carry as many points as any others.
-        if stop > first and (ends or stop >= self._carried):
-            yield pieces_of(controls, first, stop, ends=ends, dwell_s=dwell_s, degree=self.degree)
+        if stop > first and (is_last or stop >= self._carried):
+            yield pieces_of(
+                controls, first, stop, is_last=is_last, dwell_s=dwell_s, degree=self.degree
+            )
             self.controls = controls.take(slice(stop - self._carried, None))
             self.begun = True
-        if ends:
+        if is_last:
             self.controls, self.begun = None, False
 
 

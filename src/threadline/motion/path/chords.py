@@ -82,7 +82,7 @@ def roughness(positions, radius_m, cut_m, start, stop):
 
 
 @njit()
-def legs_kept(positions, radius_m, cut_m):
+def needed_legs(positions, radius_m, cut_m):
     """Return which legs, by the vertex where they begin, a corner at one of their ends needs.
 
     There a spline that follows the vertices cuts the corner by more than ``cut_m`` (see

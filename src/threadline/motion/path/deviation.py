@@ -285,7 +285,7 @@ class _Comparison:
             np.zeros(0),
             np.zeros((0, axes)),
         )
-        self._ended = False
+        self._exhausted = False
         self._worst = -1.0
         self._where: tuple[bool, int, int, FloatArray] = (False, 0, 0, np.zeros(axes))
         self._per_axis = np.zeros(axes)
@@ -294,7 +294,7 @@ class _Comparison:
         for block in self._planned:
             for part in _parts(block):
                 self._take(*part)
-        while not self._ended:
+        while not self._exhausted:
             self._read()
         self._settle(len(self._window.best))
         return PathDeviation(
@@ -311,7 +311,7 @@ class _Comparison:
         block = next(self._source, None)
         w = self._window
         if block is None:
-            self._ended = True
+            self._exhausted = True
             return
         scaled = block.positions * self._radius
         previous = w.positions[-1:] if len(w.positions) else np.full_like(scaled[:1], np.inf)
@@ -329,7 +329,8 @@ class _Comparison:
         """Compare pieces with the vertices around each."""
         last_operation = int(operation[-1])
         while (
-            not self._ended and int((self._window.operation > last_operation).sum()) <= 2 * WINDOW
+            not self._exhausted
+            and int((self._window.operation > last_operation).sum()) <= 2 * WINDOW
         ):
             self._read()
         w = self._window

@@ -71,11 +71,11 @@ def smoothing_for(machine: Machine, axes: tuple[str, ...]) -> Smoothing:
     tick_s = float(machine.tick_clock.period_s)
     if width_s == 0.0:
         return Smoothing(tick_s / 2.0, 1)
-    wanted_step_s = width_s / STEPS_PER_WIDTH
-    if wanted_step_s >= tick_s:
-        step_s = tick_s * math.floor(wanted_step_s / tick_s * (1 + 1e-12))
+    target_step_s = width_s / STEPS_PER_WIDTH
+    if target_step_s >= tick_s:
+        step_s = tick_s * math.floor(target_step_s / tick_s * (1 + 1e-12))
     else:
-        step_s = tick_s / min(math.ceil(tick_s / wanted_step_s * (1 - 1e-12)), LEAST_STEP)
+        step_s = tick_s / min(math.ceil(tick_s / target_step_s * (1 - 1e-12)), LEAST_STEP)
     return Smoothing(step_s, max(1, math.ceil(width_s / step_s * (1 - 1e-12))))
 
 

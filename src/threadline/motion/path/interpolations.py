@@ -10,7 +10,7 @@ from typing import Any, TypeAlias
 from threadline.base.option_defaults import DEFAULT_TOLERANCE_M
 from threadline.base.wording import nearest
 from threadline.errors import OptionError
-from threadline.files import KeptStream, Stream
+from threadline.files import CachedStream, Stream
 from threadline.machine import Machine
 from threadline.machine.vary import within_path
 from threadline.motion.path import bspline, straight
@@ -189,7 +189,7 @@ def chord_path(programmed: ProgrammedPath, interpolation: str = CHORDS) -> Plann
         Name of the path.
     """
     return _along(
-        programmed, interpolation, Timing.GEOMETRIC, KeptStream(straight.chords, programmed)
+        programmed, interpolation, Timing.GEOMETRIC, CachedStream(straight.chords, programmed)
     )
 
 
@@ -227,7 +227,7 @@ def _along(
 def _historical(
     name: str,
     programmed: ProgrammedPath,
-    blocks: KeptStream[PieceBlock],
+    blocks: CachedStream[PieceBlock],
     summary: Mapping[str, float],
 ) -> PlannedPath:
     return _along(programmed, name, Timing.TIME, blocks, historical=True, summary=summary)
@@ -236,7 +236,7 @@ def _historical(
 def _linear(programmed: ProgrammedPath, machine: Machine, options: PathOptions) -> PlannedPath:
     del options
     return _historical(
-        "linear", programmed, KeptStream(straight.linear_pieces, programmed, machine), {}
+        "linear", programmed, CachedStream(straight.linear_pieces, programmed, machine), {}
     )
 
 
@@ -247,7 +247,7 @@ def _point_to_point(
     return _historical(
         "point-to-point",
         programmed,
-        KeptStream(straight.point_to_point_pieces, programmed, machine),
+        CachedStream(straight.point_to_point_pieces, programmed, machine),
         {},
     )
 
@@ -268,7 +268,7 @@ def _spline(
     return _historical(
         name,
         programmed,
-        KeptStream(bspline.bspline_pieces, programmed, machine, refine, interval_s),
+        CachedStream(bspline.bspline_pieces, programmed, machine, refine, interval_s),
         {"interval_s": interval_s},
     )
 
@@ -278,7 +278,7 @@ def _auto(programmed: ProgrammedPath, machine: Machine, options: PathOptions) ->
     share = smoothing_share(smoothing, machine, programmed.axes, options.tolerance_m)
     smoothing_m = share * options.tolerance_m
     cut_m = options.tolerance_m - smoothing_m
-    blocks = KeptStream(auto_pieces, programmed, cut_m)
+    blocks = CachedStream(auto_pieces, programmed, cut_m)
     path = _along(programmed, "auto", Timing.GEOMETRIC, blocks, smoothing_m=smoothing_m)
     return _with_deviation(programmed, path, partial(_number_added, programmed, cut_m))
 
@@ -289,7 +289,7 @@ def _optimal(programmed: ProgrammedPath, machine: Machine, options: PathOptions)
     del machine
     near_m, corners = NEAR_SHARE * options.tolerance_m, options.corners
     cut_m = options.tolerance_m * (1.0 - NEAR_SHARE - _ROUNDING)
-    blocks = KeptStream(auto_pieces, programmed, cut_m, near_m, degree=QUARTIC, corners=corners)
+    blocks = CachedStream(auto_pieces, programmed, cut_m, near_m, degree=QUARTIC, corners=corners)
     path = _along(programmed, OPTIMAL, Timing.FASTEST, blocks)
     added = partial(_number_added, programmed, cut_m, QUARTIC, corners)
     return _with_deviation(programmed, path, added)
@@ -304,7 +304,7 @@ def _firmware(programmed: ProgrammedPath, machine: Machine, options: PathOptions
             remedy="Write [planner] into the machine file (docs/machine-file.md), or choose "
             "another interpolation.",
         )
-    blocks, limits = KeptStream(straight.chords, programmed), programmed.limits
+    blocks, limits = CachedStream(straight.chords, programmed), programmed.limits
     return _along(programmed, FIRMWARE, Timing.FIRMWARE, blocks, historical=True, limits=limits)
 
 
@@ -315,7 +315,7 @@ def _parabolic(programmed: ProgrammedPath, machine: Machine, options: PathOption
     # ends, which by experiment need a tenth of it at reversals.
     smoothing_m = PARABOLA_SHARE * share * options.tolerance_m
     cut_m = (1.0 - share) * options.tolerance_m
-    blocks = KeptStream(blended_pieces, programmed, cut_m)
+    blocks = CachedStream(blended_pieces, programmed, cut_m)
     path = _along(programmed, "parabolic", Timing.GEOMETRIC, blocks, smoothing_m=smoothing_m)
     return _with_deviation(programmed, path)
 
@@ -327,7 +327,7 @@ def _polynomial(name: str) -> Planner:
         bounds = polynomial_limits(
             machine, programmed.axes, programmed.radius_m, options.tolerance_m, quintic=quintic
         )
-        blocks = KeptStream(polynomial_pieces, programmed, bounds, quintic=quintic)
+        blocks = CachedStream(polynomial_pieces, programmed, bounds, quintic=quintic)
         smoothing_m = 0.0 if quintic else options.tolerance_m
         path = _along(programmed, name, Timing.TIME, blocks, smoothing_m=smoothing_m)
         return _with_deviation(programmed, path)

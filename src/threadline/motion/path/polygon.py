@@ -153,14 +153,14 @@ class Chords(NamedTuple):
     ----------
     first, stop
         First vertex, and last vertex.
-    begins, ends
+    is_first, is_last
         Whether the run begins with its first vertex, and ends with its last.
     """
 
     first: int
     stop: int
-    begins: bool = False
-    ends: bool = False
+    is_first: bool = False
+    is_last: bool = False
 
 
 def control_polygon(
@@ -209,7 +209,7 @@ def _points(vertices, legs, chords, quartic):
     """
     positions, nominal_s, operation, line = vertices
     length_m, turn, spacing = legs
-    first, stop, begins, ends = chords
+    first, stop, is_first, is_last = chords
     axes = positions.shape[1]
     share = np.empty(MOST_POINTS)
     count = 0
@@ -217,7 +217,7 @@ def _points(vertices, legs, chords, quartic):
         if not quartic and spacing[1, c] == 0.0 and spacing[0, c + 1] == 0.0:
             count += 1  # the usual case, without a call
         else:
-            count += _on_chord(legs, c, quartic, begins, ends, share)
+            count += _on_chord(legs, c, quartic, is_first, is_last, share)
     point_positions = np.empty((count, axes))
     point_turn, leg_m, time_s = np.zeros(count), np.empty(count), np.empty(count)
     added = np.zeros(count, dtype=np.int64)
@@ -226,7 +226,7 @@ def _points(vertices, legs, chords, quartic):
     for c in range(first, stop):
         last_share, added_count = 0.0, 0
         if quartic or spacing[1, c] > 0.0 or spacing[0, c + 1] > 0.0:
-            added_count = _on_chord(legs, c, quartic, begins, ends, share) - 1
+            added_count = _on_chord(legs, c, quartic, is_first, is_last, share) - 1
         for k in range(added_count):
             point_share = share[k]
             for j in range(axes):
@@ -255,12 +255,12 @@ def _points(vertices, legs, chords, quartic):
 
 
 @njit()
-def _on_chord(legs, c, quartic, begins, ends, share):
+def _on_chord(legs, c, quartic, is_first, is_last, share):
     """Write the places (0 to 1) of the points on a chord, its end included; return their number."""
     length, turn, spacing = legs
     near, far = spacing[1, c] / length[c], spacing[0, c + 1] / length[c]
     if quartic:
-        opens, closes = begins and c == 0, ends and c == len(length) - 1
+        opens, closes = is_first and c == 0, is_last and c == len(length) - 1
         next_leg = c + 1 if near > 0.0 else c - 1
         next_share = length[next_leg] / length[c] if 0 <= next_leg < len(length) else np.inf
         return knots_between(near, far, opens, closes, next_share, share)
@@ -294,7 +294,7 @@ _TINY = float(np.finfo(np.float64).tiny)
 
 
 def pieces_of(
-    controls: Controls, first: int, stop: int, *, ends: bool, dwell_s: float, degree: int = CUBIC
+    controls: Controls, first: int, stop: int, *, is_last: bool, dwell_s: float, degree: int = CUBIC
 ) -> PieceBlock:
     """Return the pieces between points ``first`` and ``stop``.
 
@@ -303,7 +303,7 @@ def pieces_of(
     controls
         Points, with at least two before ``first`` and two after ``stop`` (three for a quartic)
         unless the run begins at the first or ends at the last.
-    ends, dwell_s
+    is_last, dwell_s
         Whether the run ends at ``stop``, and the pause there.
     degree
         3, with the points as control points, or 4, with control points between them.
@@ -323,7 +323,7 @@ def pieces_of(
     )
     rest = np.zeros(len(nominal_s), dtype=np.int64)
     pause = np.zeros(len(nominal_s))
-    if ends:
+    if is_last:
         rest[-1], pause[-1] = 1, dwell_s
     for column in (coefficients, nominal_s, rest, pause):
         column.flags.writeable = False  # the block need not copy an array without other users

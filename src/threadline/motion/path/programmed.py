@@ -10,8 +10,8 @@ import numpy as np
 
 from threadline.base.arrays import FloatArray, IntArray
 from threadline.errors import LimitError, Place, PlanError
-from threadline.files import KeptStream
-from threadline.jobs.feed_times import check_feed, nominal_time_s, wanted_feed
+from threadline.files import CachedStream
+from threadline.jobs.feed_times import check_feed, feed_of_move, nominal_time_s
 from threadline.jobs.operations import (
     Dwell,
     Feed,
@@ -73,7 +73,7 @@ def programmed_path(
     return ProgrammedPath(
         axes=job.axes,
         radius_m=machine.radius_m[columns],
-        blocks=KeptStream(_blocks, job, machine, feed, at_limits),
+        blocks=CachedStream(_blocks, job, machine, feed, at_limits),
         local=machine.local_radii(job.axes),
         limits=_limits_of(job) if job.sets_limits else None,
     )
@@ -199,7 +199,7 @@ def _block(
         place = Place(pending.file, int(line[begin])) if line[begin] else None
         nominal[begin:end], slowed_moves = nominal_time_s(
             displacement[begin:end],
-            wanted_feed(programmed, feed, place, job, machine),
+            feed_of_move(programmed, feed, place, job, machine),
             feed,
             job,
             machine,

@@ -138,11 +138,11 @@ def _all_away(places, previous, begins, radius_m, near_m):  # type: ignore[no-un
 class Chunk:
     """The next vertices of a run, in parts; there may be none.
 
-    ``ends`` is True if the run ends with them, with a pause of ``dwell_s`` at the last vertex.
+    ``is_last`` is True if the run ends with them, with a pause of ``dwell_s`` at the last vertex.
     """
 
     parts: tuple[Vertices, ...]
-    ends: bool
+    is_last: bool
     dwell_s: float
 
     @property
@@ -185,7 +185,7 @@ def runs(programmed: ProgrammedPath, near_m: float = COINCIDENT_M) -> Iterator[C
                 part = join_vertices(held_back, distinct.take(slice(first_left, vertex + 1)))
                 if yielded_count + len(part) > _LEAST:
                     part = _without_near_end(part, radius, near_m)
-                yield Chunk(parts=(part,), ends=True, dwell_s=pause_s)
+                yield Chunk(parts=(part,), is_last=True, dwell_s=pause_s)
                 first_left, held_back, yielded_count = int(vertex) + 1, None, 1
         if len(distinct):
             last = distinct.take(slice(-1, None))
@@ -195,10 +195,10 @@ def runs(programmed: ProgrammedPath, near_m: float = COINCIDENT_M) -> Iterator[C
                 parts = (*parts, distinct.take(slice(first_left, -1)))
             if parts:
                 yielded_count += sum(map(len, parts))
-                yield Chunk(parts=parts, ends=False, dwell_s=0.0)
+                yield Chunk(parts=parts, is_last=False, dwell_s=0.0)
             held_back = last
     if held_back is not None:
-        yield Chunk(parts=(held_back,), ends=False, dwell_s=0.0)
+        yield Chunk(parts=(held_back,), is_last=False, dwell_s=0.0)
 
 
 def _without_near_end(part: Vertices, radius_m: FloatArray, near_m: float) -> Vertices:

@@ -113,7 +113,7 @@ def polynomial_pieces(
     for chunk in runs(programmed):
         buffered = join_vertices(buffered, *chunk.parts)
         count = len(buffered)
-        stop = count - 1 if chunk.ends else count - 2
+        stop = count - 1 if chunk.is_last else count - 2
         if stop > 0:
             leg = np.diff(buffered.positions, axis=0)
             time_s = polynomial_time_s(leg, buffered.nominal_s[1:], limits, quintic=quintic)
@@ -125,9 +125,9 @@ def polynomial_pieces(
             )
             yield _polynomial_pieces(buffered, vertex_velocity, time_s, stop, chunk, quintic)
             velocity_before = mean_velocity[stop - 1 : stop]
-        elif chunk.ends and chunk.dwell_s > 0:
+        elif chunk.is_last and chunk.dwell_s > 0:
             yield pause(buffered, chunk.dwell_s)
-        if chunk.ends:
+        if chunk.is_last:
             buffered, velocity_before = buffered.take(slice(count - 1, None)), None
         elif stop > 0:
             buffered = buffered.take(slice(stop, None))
@@ -165,7 +165,7 @@ def _polynomial_pieces(
         shape = [begin, first, 3.0 * leg - 2.0 * first - last, first + last - 2.0 * leg]
     rest = np.zeros(stop, dtype=np.int64)
     dwell = np.zeros(stop)
-    if chunk.ends:
+    if chunk.is_last:
         rest[-1], dwell[-1] = 1, chunk.dwell_s
     return PieceBlock(
         coefficients=np.stack(shape, axis=1),
@@ -213,10 +213,10 @@ def blended_pieces(programmed: ProgrammedPath, cut_m: float) -> Iterator[PieceBl
                 break
             stop = int(tight_corners[0])
             yield _blends_pieces(
-                buffered, length, turn, cut_m, (first_chord, stop), ends=True, dwell_s=0.0
+                buffered, length, turn, cut_m, (first_chord, stop), is_last=True, dwell_s=0.0
             )
             buffered, first_chord = buffered.take(slice(stop, None)), 0
-        stop = len(buffered) - 1 if chunk.ends else len(buffered) - 2
+        stop = len(buffered) - 1 if chunk.is_last else len(buffered) - 2
         if stop > first_chord:
             yield _blends_pieces(
                 buffered,
@@ -224,12 +224,12 @@ def blended_pieces(programmed: ProgrammedPath, cut_m: float) -> Iterator[PieceBl
                 turn,
                 cut_m,
                 (first_chord, stop),
-                ends=chunk.ends,
+                is_last=chunk.is_last,
                 dwell_s=chunk.dwell_s,
             )
-        elif chunk.ends and chunk.dwell_s > 0:
+        elif chunk.is_last and chunk.dwell_s > 0:
             yield pause(buffered, chunk.dwell_s)
-        if chunk.ends:
+        if chunk.is_last:
             buffered, first_chord = buffered.take(slice(len(buffered) - 1, None)), 0
         elif stop > first_chord:
             buffered, first_chord = buffered.take(slice(stop - 1, None)), 1
@@ -242,13 +242,13 @@ def _blends_pieces(
     cut_m: float,
     chord_range: tuple[int, int],
     *,
-    ends: bool,
+    is_last: bool,
     dwell_s: float,
 ) -> PieceBlock:
     """Return the chords between two vertices and the corners at their ends."""
     first, stop = chord_range
     turn = turn.copy()
-    if ends:
+    if is_last:
         turn[stop] = 0.0
     half_legs = np.minimum(np.append(length, np.inf), np.insert(length, 0, np.inf)) / 2.0
     with np.errstate(divide="ignore"):
@@ -293,7 +293,7 @@ def _blends_pieces(
     )
     lines = np.stack([vertices.line[k] for k in (chords + 1, chords + 1, next_chords + 1)], axis=1)
     rest, dwell = np.zeros(len(kept_pieces), dtype=np.int64), np.zeros(len(kept_pieces))
-    if ends:
+    if is_last:
         rest[-1], dwell[-1] = 1, dwell_s
     return PieceBlock(
         coefficients=coefficients.reshape(-1, 3, leg.shape[1])[kept_pieces],

@@ -30,7 +30,7 @@ from threadline.motion.path.chords import (
     ToolChord,
     chord,
     from_vertex,
-    legs_kept,
+    needed_legs,
     roughness,
     squared_of,
     towards,
@@ -53,11 +53,11 @@ def thinned_runs(programmed: ProgrammedPath, near_m: float, cut_m: float) -> Ite
     for chunk in runs(programmed, near_m):
         new_chunk = thinner.thinned(chunk)
         held_parts += new_chunk.parts
-        if new_chunk.ends or sum(map(len, held_parts)) >= ENOUGH:
+        if new_chunk.is_last or sum(map(len, held_parts)) >= ENOUGH:
             yield replace(new_chunk, parts=tuple(held_parts))
             held_parts = []
     if any(map(len, held_parts)):
-        yield Chunk(parts=tuple(held_parts), ends=False, dwell_s=0.0)
+        yield Chunk(parts=tuple(held_parts), is_last=False, dwell_s=0.0)
 
 
 @dataclass(slots=True)
@@ -99,7 +99,7 @@ class Thinner:
             (held.positions, held.nominal_s, self.radius_m),
             self.cut_m,
             SHARES * self.cut_m,
-            chunk.ends,
+            chunk.is_last,
             self.start,
             self.place,
             self.known,
@@ -114,14 +114,14 @@ class Thinner:
         )
         if not begun:
             vertices = join_vertices(held.take(slice(0, 1)), vertices)
-        if chunk.ends:
+        if chunk.is_last:
             self.held, self.start = held.take(slice(-1, None)), 0
             self.place, self.known = held.positions[-1] * self.radius_m, BEGIN
         else:
             dropped = max(start - 1, 0)
             self.held, self.start = held.take(slice(dropped, None)), start - dropped
             self.place, self.known = place, (known[0] - dropped, *known[1:])
-        return Chunk(parts=(vertices,), ends=chunk.ends, dwell_s=chunk.dwell_s)
+        return Chunk(parts=(vertices,), is_last=chunk.is_last, dwell_s=chunk.dwell_s)
 
 
 @njit(fastmath={"reassoc"})
@@ -134,7 +134,7 @@ def _passed(nominal_s, start, stop):
 
 
 @njit()
-def _thin(vertices, cut_m, shares_m, ends, start, place, known):
+def _thin(vertices, cut_m, shares_m, is_last, start, place, known):
     """Return the ends of the chords from row ``start`` on, and the start of the next one.
 
     Parameters
@@ -145,7 +145,7 @@ def _thin(vertices, cut_m, shares_m, ends, start, place, known):
         The tolerance.
     shares_m : (shares,)
         Permitted deviations of vertices from a chord, tried in this order.
-    ends : bool
+    is_last : bool
         Whether the run ends with the last vertex.
     place : (axes,)
         Start of the next chord at the tool, m.
@@ -165,14 +165,14 @@ def _thin(vertices, cut_m, shares_m, ends, start, place, known):
     count, axes = positions.shape
     out, beside = np.empty((count, axes)), np.empty(count)
     time_s, row = np.empty(count), np.empty(count, dtype=np.int64)
-    kept = legs_kept(positions, radius_m, cut_m)
+    kept = needed_legs(positions, radius_m, cut_m)
     chord_start, d = place.copy(), np.empty(axes)
     program, tool_chord = Program(positions, radius_m), ToolChord(chord_start, d, np.empty(axes))
     # The roughness at the last two rows is unknown before more vertices come.
-    last_row = count - 1 if ends else count - 2
+    last_row = count - 1 if is_last else count - 2
     n, next_kept = 0, start
     while start < last_row:
-        if not ends and last_row - start < WINDOW:
+        if not is_last and last_row - start < WINDOW:
             break
         if start >= until:
             roughness_found = roughness(
@@ -202,14 +202,14 @@ def _thin(vertices, cut_m, shares_m, ends, start, place, known):
             )
             towards(positions, radius_m, chord_start, k, d)
         else:
-            corner = (len(kept) > 0 and kept[limit]) or (ends and limit == last_row)
+            corner = (len(kept) > 0 and kept[limit]) or (is_last and limit == last_row)
             k, met, strayed, level, guess = chord(
                 program,
                 shares_m,
                 rough,
                 aside,
                 Before(level, before_m, guess),
-                Legs(start, limit, corner, not ends and not corner and limit == last_row),
+                Legs(start, limit, corner, not is_last and not corner and limit == last_row),
                 tool_chord,
             )
         if k < 0:

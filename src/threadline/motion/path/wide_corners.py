@@ -79,7 +79,7 @@ def moved_outside(
     for chunk in chunks:
         new_vertices = chunk.vertices
         if not len(new_vertices):
-            if chunk.ends and held_back is not None:
+            if chunk.is_last and held_back is not None:
                 previous, held_back = held_back, None
                 yield replace(chunk, parts=(previous,))
             else:
@@ -89,11 +89,11 @@ def moved_outside(
             previous, *(part for part in (held_back, new_vertices) if part is not None)
         )
         first_new = 0 if previous is None else 1
-        if first_new == 0 and len(known) == 1 and not chunk.ends:
+        if first_new == 0 and len(known) == 1 and not chunk.is_last:
             held_back = known
             continue
         moved = _moved(known, programmed, cut_m, corners)
-        if chunk.ends:
+        if chunk.is_last:
             yield replace(chunk, parts=(moved.take(slice(first_new, None)),))
             previous, held_back = known.take(slice(-1, None)), None
             continue
@@ -103,7 +103,7 @@ def moved_outside(
         held_back = known.take(slice(-1, None))
         previous = known.take(slice(-2, -1)) if len(known) > 1 else previous
     if held_back is not None:
-        yield Chunk(parts=(held_back,), ends=False, dwell_s=0.0)
+        yield Chunk(parts=(held_back,), is_last=False, dwell_s=0.0)
 
 
 def _moved(known: Vertices, programmed: ProgrammedPath, cut_m: float, corners: Corners) -> Vertices:

@@ -282,7 +282,7 @@ class _Samples:
         self._rows = np.zeros((0, len(radius)))
         self._operation = np.zeros(0, dtype=np.int64)
         self._last: TrajectoryBlock | None = None
-        self.ended = False
+        self.exhausted = False
 
     @property
     def end(self) -> int:
@@ -291,10 +291,10 @@ class _Samples:
 
     def read(self, until: int) -> None:
         """Read samples up to index ``until``, or to the end of the trajectory."""
-        while not self.ended and self.end < until:
+        while not self.exhausted and self.end < until:
             block = next(self._blocks, None)
             if block is None:
-                self.ended = True
+                self.exhausted = True
                 if self._last is not None:
                     self._append(self._last, np.array([self._last.end_s]))
                 return

@@ -30,7 +30,7 @@ _COEFFICIENTS = 80
 _LEVELS = 160
 _FREQUENCIES = 50  # number per turn of the phase between the ends of the band, over the window
 MOST_FREQUENCIES = 161
-_KEPT = 0.996  # share of the residual: between two frequencies it may be a little larger
+_USED_RESIDUAL = 0.996  # share of the residual: between two frequencies it may be a little larger
 _SIDES = 16
 _CHECKED = 41
 _LEAST = 1e-6  # share of the move: least residual; the tolerance of the solver is a tenth of it
@@ -255,7 +255,7 @@ class _Spline:
         pole = zeta * omega + 1j * damped
         weighted_decay = np.exp(-window_s * pole[:, None] * (1.0 - self.u)) * self.weights
         relative_rows = (weighted_decay @ self.basis) * (
-            d.move_m / (window_s * damped * _KEPT * d.residual_m)
+            d.move_m / (window_s * damped * _USED_RESIDUAL * d.residual_m)
         )[:, None]
         angles = 2.0 * pi * np.arange(_SIDES) / _SIDES
         # A residual within the sides of a polygon inside the circle is within the circle.

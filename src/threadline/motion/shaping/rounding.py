@@ -33,7 +33,7 @@ _STARTS = 8
 _PAIRS_OF = 40  # largest number of impulses for moves in pairs; longer trains move one at a time
 _LONGER = 2  # largest number of ticks by which a train may be longer than designed
 _SHORTER = 6  # largest number of ticks by which a start is compressed
-_KEPT = 40
+_MOST_CANDIDATES = 40
 _EVERY = 20000  # largest number of trains around the start that are all tried
 _FARTHEST = 8  # largest distance from the start, in ticks, for trains of two or three impulses
 _AT_ONCE = 2000
@@ -166,9 +166,9 @@ def on_ticks(
             search.improve(start_ticks)
         search.every_one_about(start)
         ranked = sorted(search.seen.items(), key=lambda pair: (pair[1], pair[0]))
-        seen |= dict.fromkeys(ticks for ticks, _ in ranked[:_KEPT])
+        seen |= dict.fromkeys(ticks for ticks, _ in ranked[:_MOST_CANDIDATES])
         without_hump = (ticks for ticks, _ in ranked if ticks in search.sound)
-        seen |= dict.fromkeys(itertools.islice(without_hump, _KEPT))
+        seen |= dict.fromkeys(itertools.islice(without_hump, _MOST_CANDIDATES))
     return [np.array(ticks, dtype=np.int64) for ticks in seen]
 
 
@@ -214,7 +214,7 @@ class _Search:
             values, keeps = cost(vibration, self._weight), self._grid.keeps_its_mode(vibration)
             for mask in (keeps, ~keeps):
                 indices = np.flatnonzero(mask)
-                for k in indices[np.argsort(values[indices], kind="stable")[:_KEPT]]:
+                for k in indices[np.argsort(values[indices], kind="stable")[:_MOST_CANDIDATES]]:
                     best_trains.append((float(values[k]), bool(keeps[k]), tuple(batch[k].tolist())))
         for value, keeps_its_mode, ticks in best_trains:
             self.seen.setdefault(ticks, value)

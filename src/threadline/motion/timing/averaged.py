@@ -36,7 +36,7 @@ _AVERAGES, _SAMPLES = 4, 9
 STEPS = _AVERAGES * (_SAMPLES - 1) + DEGREE + 1
 """Width of the kernel in sampling steps."""
 CHUNK = 8192
-KEPT = 1 << 16
+MOST_CACHED = 1 << 16
 _STILL = 1e-9  # of the fastest speed so far
 
 
@@ -147,7 +147,7 @@ def averaged_trajectory(held: Trajectory, averages: Averages) -> Trajectory:
     held
         It must stand for half of the width of ``averages`` at both ends.
     """
-    if held.duration_s / averages.step_s <= KEPT:
+    if held.duration_s / averages.step_s <= MOST_CACHED:
         # A short motion is computed once and kept, as it is read many times.
         return Trajectory(axes=held.axes, blocks=Stream.of(list(_averaged(held, averages))))
     return Trajectory(axes=held.axes, blocks=Stream(_averaged, held, averages))

@@ -61,7 +61,7 @@ def limit_peaks(trajectory: Trajectory, machine: Machine) -> tuple[Peak, ...]:
     """
     columns = [machine.axis_names.index(axis) for axis in trajectory.axes]
     low, high = machine.travel[columns].T
-    speeding, braking = (limit[columns] for limit in machine.sides)
+    speeding, braking = (limit[columns] for limit in machine.accelerations)
     limits = {
         "velocity": machine.velocity_limit[columns],
         "acceleration": np.maximum(speeding, braking),

@@ -13,8 +13,8 @@ import numpy as np
 from threadline.base.arrays import FloatArray, IntArray
 from threadline.base.progress import PLANNING
 from threadline.errors import BudgetError, OptionError, Place
-from threadline.files import KeptStream, Stream
-from threadline.jobs.feed_times import nominal_time_s, wanted_feed
+from threadline.files import CachedStream, Stream
+from threadline.jobs.feed_times import feed_of_move, nominal_time_s
 from threadline.jobs.operations import Dwell, Feed, FeedMode, Job, Move, MoveRun, gathered
 from threadline.machine import Machine
 from threadline.machine.vary import within_path
@@ -55,10 +55,10 @@ def followed_blocks(path: PlannedPath, machine: Machine) -> Iterator[TrajectoryB
         stops = np.flatnonzero(block.rest_after)
         first = 0
         for stop in stops:
-            yield from run.extend(block, first, int(stop) + 1, ends=True)
+            yield from run.extend(block, first, int(stop) + 1, is_last=True)
             first = int(stop) + 1
         if first < len(block):
-            yield from run.extend(block, first, len(block), ends=False)
+            yield from run.extend(block, first, len(block), is_last=False)
 
 
 def _refuse_endless(smoothing: Smoothing, machine: Machine, axes: tuple[str, ...]) -> None:
@@ -92,7 +92,7 @@ class _Run:
     smoother: Smoother | None = None
 
     def extend(
-        self, block: PieceBlock, first: int, stop: int, *, ends: bool
+        self, block: PieceBlock, first: int, stop: int, *, is_last: bool
     ) -> Iterator[TrajectoryBlock]:
         """Add pieces ``first`` to ``stop`` and yield the part that is settled."""
         rows = slice(first, stop)
@@ -108,8 +108,8 @@ class _Run:
         if self.smoother is None and len(self.pending):
             start, operation = self.pending.c[0, 0], int(self.pending.operation[0])
             self.smoother = Smoother(self.allowed.smoothing, start, operation)
-        yield from self._advance(ends)
-        if not ends:
+        yield from self._advance(is_last)
+        if not is_last:
             return
         end_position = coefficients[-1].sum(axis=0)
         if self.smoother is not None:
@@ -123,10 +123,10 @@ class _Run:
         self.pending, self.smoother, self.run_over = None, None, 0
         self.speed, self.time_s, self.done = 0.0, 0.0, 0
 
-    def _advance(self, ends: bool) -> Iterator[TrajectoryBlock]:
+    def _advance(self, is_last: bool) -> Iterator[TrajectoryBlock]:
         if self.pending is None or not len(self.pending):
             return
-        p = self.pending = divide(self.pending, self.allowed, ends=ends)
+        p = self.pending = divide(self.pending, self.allowed, is_last=is_last)
         factor = factors(p.c, self.allowed.radius)
         cap = caps(p, factor, self.allowed)
         # Finished pieces are never whole: their number does not change.
@@ -142,7 +142,7 @@ class _Run:
         largest_x = np.zeros((count, profile.PARTS + 1))
         profile.backward(run, self.limits, 0.0, largest_x, False)
         settled_count = count
-        if not ends:
+        if not is_last:
             settled_count = profile.backward(run, self.limits, np.inf, largest_x, True)
             # Later pieces may still lower the caps of the last stretch.
             length_left = np.cumsum(p.length[unfinished][::-1])[::-1]
@@ -208,7 +208,7 @@ class _Run:
         PLANNING.reach(self.begin_s + self.done * step)
 
 
-_MOST_KEPT = 20_000  # pieces of a path whose fastest motion is kept
+_MOST_CACHED = 20_000  # pieces of a path whose fastest motion is kept
 
 
 class Pace(StrEnum):
@@ -288,12 +288,12 @@ def plan_trajectory(
             )
         timed = Stream(as_programmed, path, machine)
         path = replace(path, blocks=timed, timing=Timing.TIME, historical=True)
-    path = replace(path, blocks=KeptStream(_within_budget, path, machine))
+    path = replace(path, blocks=CachedStream(_within_budget, path, machine))
     if path.timing is Timing.TIME and path.smoothing_m > 0:
-        return Trajectory(axes=path.axes, blocks=KeptStream(smoothed_blocks, path, machine))
+        return Trajectory(axes=path.axes, blocks=CachedStream(smoothed_blocks, path, machine))
     if path.timing is Timing.TIME:
         return Trajectory(
-            axes=path.axes, historical=path.historical, blocks=KeptStream(timed_blocks, path)
+            axes=path.axes, historical=path.historical, blocks=CachedStream(timed_blocks, path)
         )
     if path.timing is Timing.FIRMWARE and machine.planner is not None:
         from threadline.motion.timing.firmware import firmware_blocks
@@ -301,7 +301,7 @@ def plan_trajectory(
         return Trajectory(
             axes=path.axes,
             historical=True,
-            blocks=KeptStream(firmware_blocks, path, machine, machine.planner),
+            blocks=CachedStream(firmware_blocks, path, machine, machine.planner),
         )
     if path.timing is Timing.FASTEST:
         from threadline.motion.timing.optimal.fastest_motion import fastest_blocks
@@ -313,7 +313,7 @@ def plan_trajectory(
         return Trajectory(
             axes=path.axes, blocks=Stream.of(list(blocks)) if _short(path) else blocks
         )
-    return Trajectory(axes=path.axes, blocks=KeptStream(followed_blocks, path, machine))
+    return Trajectory(axes=path.axes, blocks=CachedStream(followed_blocks, path, machine))
 
 
 def _short(path: PlannedPath) -> bool:
@@ -321,7 +321,7 @@ def _short(path: PlannedPath) -> bool:
     count = 0
     for block in path:
         count += len(block)
-        if count > _MOST_KEPT:
+        if count > _MOST_CACHED:
             return False
     return True
 
@@ -441,10 +441,10 @@ def _times_s(
     ends = [begin for begin, _ in run.feeds[1:]] + [len(displacement)]
     for (begin, programmed), end in zip(run.feeds, ends, strict=True):
         if programmed is None or programmed.mode is not FeedMode.RAPID:
-            feed_wanted = wanted_feed(
+            move_feed = feed_of_move(
                 programmed, feed, Place(run.file, int(run.line[begin])), job, machine
             )
             least_s[begin:end], _ = nominal_time_s(
-                displacement[begin:end], feed_wanted, feed, job, machine
+                displacement[begin:end], move_feed, feed, job, machine
             )
     return least_s

@@ -162,13 +162,13 @@ def prepare(
     )
 
 
-def divide(pieces: Pieces, allowed: Allowance, *, ends: bool) -> Pieces:
+def divide(pieces: Pieces, allowed: Allowance, *, is_last: bool) -> Pieces:
     """Cut straight pieces where the speed of a curve before or after them may be left.
 
-    The last piece stays whole unless the run ``ends`` there: the next piece is not known.
+    The last piece stays whole unless the run ends there (``is_last``): the next piece is not known.
     """
     is_due = pieces.whole == 1
-    if not ends:
+    if not is_last:
         is_due[-1] = False
     reach_s, top_m_s = allowed.reach_s, allowed.top_m_s
     rows, start, stop = _cut(is_due, pieces.smooth, _extents(pieces), reach_s, top_m_s)

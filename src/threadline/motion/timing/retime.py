@@ -85,7 +85,7 @@ def _of_block(block: TrajectoryBlock, limits: Limits) -> dict[str, FloatArray]:
     along = limits.along
     shares = {
         "velocity": np.abs(v).max(axis=(0, 1)) / limits.velocity,
-        "acceleration": used_shares(v, a, limits.sides).max(axis=0),
+        "acceleration": used_shares(v, a, limits.accelerations).max(axis=0),
         "jerk": np.abs(j).max(axis=(0, 1)) / limits.jerk,
     }
     if along is not None:
@@ -234,7 +234,7 @@ def _reachable(places: FloatArray, limits: Limits, tolerance: float) -> FloatArr
     and comes to one v^2 / 2 D later. Both lie within the extent of the places.
     """
     extent = np.ptp(places, axis=0) + 2.0 * tolerance
-    speeding, braking = limits.sides
+    speeding, braking = limits.accelerations
     mean = speeding * braking / (speeding + braking)
     return np.asarray(_OUT_OF_REACH * np.sqrt(2.0 * extent * mean))
 

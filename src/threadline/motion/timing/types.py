@@ -210,16 +210,16 @@ class TrajectoryReader:
         self._source = iter(trajectory)
         self._axes = len(trajectory.axes)
         self._blocks: list[TrajectoryBlock] = []
-        self._ended = False
+        self._exhausted = False
 
-    def ladder(self, time_s: FloatArray, orders: int) -> FloatArray:
+    def derivatives(self, time_s: FloatArray, orders: int) -> FloatArray:
         """Return the (n, orders, axes) position and derivatives at (n,) ascending times."""
-        rungs = np.zeros((len(time_s), orders, self._axes))
+        derivatives = np.zeros((len(time_s), orders, self._axes))
         if not len(time_s):
-            return rungs
+            return derivatives
         self._reach(float(time_s[-1]))
         if not self._blocks:
-            return rungs
+            return derivatives
         edges = np.searchsorted(time_s, [block.end_s for block in self._blocks], side="right")
         edges[-1] = len(time_s)
         begin = 0
@@ -227,11 +227,11 @@ class TrajectoryReader:
             if end > begin:
                 part = slice(begin, end)
                 for order in range(orders):
-                    rungs[part, order] = block.evaluate(time_s[part], order)
+                    derivatives[part, order] = block.evaluate(time_s[part], order)
                 begin = end
         outside = (time_s < self._blocks[0].start_s[0]) | (time_s > self._blocks[-1].end_s)
-        rungs[outside, 1:] = 0.0
-        return rungs
+        derivatives[outside, 1:] = 0.0
+        return derivatives
 
     def drop(self, before_s: float) -> None:
         """Discard pieces that end before an instant, except the last known block."""
@@ -239,10 +239,10 @@ class TrajectoryReader:
             self._blocks.pop(0)
 
     def _reach(self, time_s: float) -> None:
-        while not self._ended and (not self._blocks or self._blocks[-1].end_s < time_s):
+        while not self._exhausted and (not self._blocks or self._blocks[-1].end_s < time_s):
             block = next(self._source, None)
             if block is None:
-                self._ended = True
+                self._exhausted = True
             elif len(block):
                 self._blocks.append(block)
 

@@ -81,7 +81,7 @@ class NeedleColumns:
         self._begin_s: list[float] = []  # first and last needle-down of every contour so far
         self._end_s: list[float] = []
         self._known_s = -np.inf
-        self._ended = False
+        self._exhausted = False
         self._trim_until = 0  # tick
 
     def rows(self, block: TickBlock) -> NeedleRows:
@@ -104,10 +104,10 @@ class NeedleColumns:
 
     def _pull(self, until_s: float) -> None:
         """Read stitches until the end of one is later than ``until_s``."""
-        while not self._ended and self._known_s <= until_s:
+        while not self._exhausted and self._known_s <= until_s:
             run = next(self._runs, None)
             if run is None:
-                self._ended = True
+                self._exhausted = True
                 self._end_s.append(self._known_s)
                 return
             first_s = run.down_s[run.first] - run.period_s[run.first]

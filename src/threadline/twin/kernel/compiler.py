@@ -49,7 +49,7 @@ def _digest() -> str:
 WRITTEN_BY = _digest()
 
 
-class KeptCode:
+class CodeCache:
     """Files of machine code, each preceded by a digest of its bytes.
 
     A partial or modified file is ignored, because running it would crash.
@@ -139,11 +139,11 @@ class Compiler:
         Cache of machine code on disk; None for the cache folder of this file.
     """
 
-    def __init__(self, kept: KeptCode | None = None) -> None:
+    def __init__(self, code_cache: CodeCache | None = None) -> None:
         llvm.initialize_native_target()
         llvm.initialize_native_asmprinter()
         self._engines: list[Any] = []
-        self._kept = KeptCode(cache_folder(_compiled)) if kept is None else kept
+        self._cache = CodeCache(cache_folder(_compiled)) if code_cache is None else code_cache
 
     def address(self, write: Callable[[], ir.Module], name: str, shape: str = "") -> int:
         """Compile the module that ``write`` returns; return the address of its function ``name``.
@@ -160,10 +160,10 @@ class Compiler:
         versions = llvmlite.__version__, llvm.llvm_version_info, _OPTIMISES, _PASSES
         known = text or f"{WRITTEN_BY} {shape}"
         made_from = "\n".join([repr(versions), cpu, features, known])
-        code = self._kept.read(made_from)
+        code = self._cache.read(made_from)
         if code is None:
             code = _compiled(text or _text(write(), target, machine), machine)
-            self._kept.write(made_from, code)
+            self._cache.write(made_from, code)
         nothing = llvm.parse_assembly(f'target triple = "{target.triple}"')
         engine = llvm.create_mcjit_compiler(nothing, machine)
         engine.add_object_file(llvm.ObjectFileRef.from_data(code))

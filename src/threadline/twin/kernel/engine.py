@@ -201,7 +201,7 @@ class Run:
     def advance(
         self,
         travelled: IntArray,
-        wanted: Collection[Reading],
+        readings: Collection[Reading],
         *,
         every: int = 1,
         window: int = NEVER,
@@ -215,7 +215,7 @@ class Run:
         ----------
         travelled
             (ticks, axes) commanded counts at each tick, from the start.
-        wanted
+        readings
             Readings to sample at ticks that are multiples of ``every``.
         window
             First tick of the window for the smallest and largest load position.
@@ -227,7 +227,7 @@ class Run:
         """
         first = self.tick
         samples = -(-(first + len(travelled)) // every) - -(-first // every)
-        found, lying = self._room(tuple(wanted), samples)
+        found, lying = self._room(tuple(readings), samples)
         for state, wiring in self._wired:
             references = np.zeros((len(travelled), len(state.shape.controllers)))
             for axis, controller in wiring.references:
@@ -299,7 +299,7 @@ class Run:
             state.begin_again()
 
     def _room(
-        self, wanted: tuple[Reading, ...], samples: int
+        self, readings: tuple[Reading, ...], samples: int
     ) -> tuple[dict[Reading, FloatArray], dict[Reading, tuple[int, int]]]:
         """Return (samples, lanes) for each reading; readings of one signal share an array.
 
@@ -307,9 +307,9 @@ class Run:
         without copying. The second result gives the address of each reading and its stride in
         numbers.
         """
-        order = self._lying.get(wanted)
+        order = self._lying.get(readings)
         if order is None:
-            order = self._lying[wanted] = self._ordered(wanted)
+            order = self._lying[readings] = self._ordered(readings)
         lanes = max((len(state.clock) * state.shape.lanes for state in self._states), default=0)
         found: dict[Reading, FloatArray] = {}
         lying: dict[Reading, tuple[int, int]] = {}
@@ -321,13 +321,13 @@ class Run:
                 lying[reading] = begins + room.itemsize * lanes * at, apart
         return found, lying
 
-    def _ordered(self, wanted: tuple[Reading, ...]) -> list[list[Reading]]:
+    def _ordered(self, readings: tuple[Reading, ...]) -> list[list[Reading]]:
         """Return the readings of each signal in memory order."""
         machine = self._engine.machine
         names = *machine.axis_names, *machine.inputs, *machine.sensors
         order = {name: at for at, name in enumerate(names)}
         found: dict[Signal, list[Reading]] = {}
-        for reading in sorted(wanted, key=lambda reading: order[reading.name]):
+        for reading in sorted(readings, key=lambda reading: order[reading.name]):
             found.setdefault(reading.signal, []).append(reading)
         return list(found.values())
 
@@ -344,10 +344,10 @@ class Run:
         for job in jobs:
             job.result()
 
-    def sample_bytes(self, wanted: Collection[Reading]) -> int:
-        """Return the memory in bytes of one sample of the readings ``wanted``."""
+    def sample_bytes(self, readings: Collection[Reading]) -> int:
+        """Return the memory in bytes of one sample of the readings ``readings``."""
         lanes = max((len(state.clock) * state.shape.lanes for state in self._states), default=0)
-        return 8 * lanes * len(wanted)
+        return 8 * lanes * len(readings)
 
     def failure(self) -> tuple[tuple[str, ...], str] | None:
         """Return the axes without a solution, and the reason; None if all have one.
@@ -405,20 +405,20 @@ class Run:
         """Return the state of the run, which can be pickled."""
         return tuple(state.snapshot() for state in self._states)
 
-    def restore(self, kept: tuple[Snapshot, ...]) -> None:
-        """Continue from ``kept``, of a run started in the same way in any process.
+    def restore(self, saved: tuple[Snapshot, ...]) -> None:
+        """Continue from ``saved``, of a run started in the same way in any process.
 
         Raises
         ------
         ValueError
             If it belongs to another machine or other variants.
         """
-        if len(kept) != len(self._states):
+        if len(saved) != len(self._states):
             raise ValueError(
-                f"the snapshot is of a machine of {len(kept)} connected pieces, this one has "
+                f"the snapshot is of a machine of {len(saved)} connected pieces, this one has "
                 f"{len(self._states)}"
             )
-        for state, one in zip(self._states, kept, strict=True):
+        for state, one in zip(self._states, saved, strict=True):
             state.restore(one)
 
 

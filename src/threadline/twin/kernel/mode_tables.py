@@ -129,7 +129,7 @@ class ModeTables:
         self.plans = np.zeros(count, dtype=np.uint64)
         self.guards = len(layout.shape.guards)
         self._lying = _lying(layout)
-        self.kept: dict[int, tuple[FloatArray, IntArray]] = {}
+        self.filled_tables: dict[int, tuple[FloatArray, IntArray]] = {}
         self.failure: ThreadlineError | None = None
         self._lock = Lock()
         self._callback: Callable[..., None] = CFUNCTYPE(None, c_int64)(self._meet)
@@ -145,19 +145,19 @@ class ModeTables:
     def meet(self, mode: int) -> FloatArray:
         """Return the (groups, table rows, width) table of a mode, with held values last."""
         with self._lock:
-            if mode not in self.kept:
+            if mode not in self.filled_tables:
                 size = 8 * self.lanes * self.layout.table_rows
-                if size * (len(self.kept) + 1) > _MOST_BYTES:
+                if size * (len(self.filled_tables) + 1) > _MOST_BYTES:
                     raise MachineError(
-                        f"the simulation met more than {len(self.kept)} combinations of limits, "
-                        f"belts, play and friction; their tables take {size} bytes each, limit "
-                        f"{_MOST_BYTES} in all",
+                        f"the simulation met more than {len(self.filled_tables)} combinations of "
+                        f"limits, belts, play and friction; their tables take {size} bytes each, "
+                        f"limit {_MOST_BYTES} in all",
                         remedy="Leave out limits, belts, play or friction that hardly matter.",
                     )
-                table, plan = self.kept[mode] = self._filled(mode)
+                table, plan = self.filled_tables[mode] = self._filled(mode)
                 self.plans[mode] = plan.ctypes.data
                 self.tables[mode] = table.ctypes.data
-            return self.kept[mode][0]
+            return self.filled_tables[mode][0]
 
     def _choice(self, mode: int) -> list[int]:
         found = []

@@ -97,7 +97,7 @@ class Piece:
         The fastest rate, 1/s, for which its tables are made.
     rates
         (V,) the fastest rate of each variant.
-    kept
+    mode_tables
         Tables of its modes for each kernel that has run it, shared by all runs.
     begun
         These tables and the initial workspace of a run, by lanes, width, options, and the encoders
@@ -116,7 +116,7 @@ class Piece:
     shared: bool
     rate: float
     rates: FloatArray
-    kept: dict[Shape, ModeTables] = field(default_factory=dict)
+    mode_tables: dict[Shape, ModeTables] = field(default_factory=dict)
     begun: dict[tuple[int, int, bool, bool, tuple[bool, ...]], tuple[ModeTables, FloatArray]] = (
         field(default_factory=dict)
     )

@@ -193,19 +193,19 @@ class State:
             counts=self.counts.copy(),
         )
 
-    def restore(self, kept: Snapshot) -> None:
-        """Continue from ``kept``, made from the same piece in any process.
+    def restore(self, saved: Snapshot) -> None:
+        """Continue from ``mode_tables``, made from the same piece in any process.
 
         Raises
         ------
         ValueError
             If it belongs to a piece of another shape.
         """
-        if kept.shape != self.shape or kept.work.shape != self.work.shape:
+        if saved.shape != self.shape or saved.work.shape != self.work.shape:
             raise ValueError("the snapshot is of a machine of another shape, or of other variants")
         for mine, other in (
-            (self.work, kept.work), (self.ring, kept.ring),
-            (self.clock, kept.clock), (self.counts, kept.counts),
+            (self.work, saved.work), (self.ring, saved.ring),
+            (self.clock, saved.clock), (self.counts, saved.counts),
         ):  # fmt: skip
             mine[:] = other
         # The code assumes that the table of its initial mode exists.
@@ -346,10 +346,10 @@ def _begun(
         if width > 1 and row[0] not in _NOT_UNIFORM and _alike(values)
     )
     shape = shape_of(uniform=uniform)
-    modes = piece.kept.get(shape)
+    modes = piece.mode_tables.get(shape)
     if modes is None:
         modes = ModeTables(piece.plant, which, Layout(shape), piece.steps.lengths_s, piece.rate)
-        piece.kept[shape] = modes
+        piece.mode_tables[shape] = modes
     layout = modes.layout
     work = aligned((len(which) // width, layout.stride, width))
     for row, values in numbers.items():

@@ -175,17 +175,17 @@ def control_tables(machine: Machine, piece: PiecewiseLinear, values: Values) -> 
         limit=np.zeros((variants, count)),
         drive=np.zeros(count, dtype=np.int64),
         zero_on_reversal=np.zeros(count, dtype=np.int64),
-        profile=tuple(_PROFILES.get(part.of.kind, "") for part in parts),
-        encoder=tuple(_encoder_rounding(machine, part.of.sensor) for part in parts),
-        dac=tuple(part.of.dac.rounding for part in parts),
+        profile=tuple(_PROFILES.get(part.settings.kind, "") for part in parts),
+        encoder=tuple(_encoder_rounding(machine, part.settings.sensor) for part in parts),
+        dac=tuple(part.settings.dac.rounding for part in parts),
         acceleration=np.zeros((variants, count)),
         fastest=np.zeros((variants, count)),
         per_tick=np.zeros((variants, count)),
         banks=tuple(_bank(machine, group, part) for part in parts),
-        banked=tuple(part.of.kind == "state-space" for part in parts),
+        banked=tuple(part.settings.kind == "state-space" for part in parts),
     )
     for k, part in enumerate(parts):
-        path, loop = f"controllers.{part.controller}", part.of
+        path, loop = f"controllers.{part.controller}", part.settings
         controller = machine.controllers[part.controller]
         bits = values.at(f"{path}.dac.bits", loop.dac.bits)
         volts = values.at(f"{path}.dac.range", loop.dac.range)

@@ -125,9 +125,9 @@ def write_peaks(rows: Lanes) -> None:
     """Update the current of largest magnitude of every drive."""
     code = rows.code
     for d, pattern in enumerate(rows.shape.drives):
-        now, kept = rows.product(Field.CURRENT, d, pattern), rows[Field.PEAK, d]
+        now, peak = rows.product(Field.CURRENT, d, pattern), rows[Field.PEAK, d]
         rows[Field.PEAK, d] = code.choose(
-            code.call("fabs", now) > code.call("fabs", kept), now, kept
+            code.call("fabs", now) > code.call("fabs", peak), now, peak
         )
 
 
@@ -209,10 +209,10 @@ def write_sample(rows: Lanes, records: Value, sample: Value, lane: Value) -> Non
         values[at.frame(x)] = rows.product(Field.FRAME, x, axis.frame)
         values[at.rate(x)] = rows.product(Field.RATE, x, axis.rate)
     for d, pattern in enumerate(shape.drives):
-        now, kept = rows.product(Field.CURRENT, d, pattern), rows[Field.PEAK, d]
-        larger = code.call("fabs", now) > code.call("fabs", kept)
+        now, peak = rows.product(Field.CURRENT, d, pattern), rows[Field.PEAK, d]
+        larger = code.call("fabs", now) > code.call("fabs", peak)
         values[at.current(d)] = now
-        values[at.peak(d)] = code.choose(larger, now, kept)
+        values[at.peak(d)] = code.choose(larger, now, peak)
         rows[Field.PEAK, d] = 0.0
     for s in range(shape.inputs):
         values[at.tripped(s)] = rows[Field.TRIPPED, s]

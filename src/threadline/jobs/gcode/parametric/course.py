@@ -17,7 +17,7 @@ MOST_LINES = 1_000_000
 """Most lines that a run may repeat."""
 MOST_IDLE = 100_000
 """Most lines that may run in sequence without a move."""
-_KEPT = 100_000
+_MOST_CACHED = 100_000
 
 
 class Run:
@@ -69,7 +69,7 @@ class Run:
             If a line cannot be read, a formula has no value, or too many lines run.
         """
         line, lines_run = 0, 0
-        steps, kept_statements = self._flow.steps, self._statements
+        steps, cached_statements = self._flow.steps, self._statements
         most_lines = MOST_LINES + len(self._codes)
         while line < len(self._codes):
             lines_run += 1
@@ -80,12 +80,12 @@ class Run:
             if step is not None:
                 line = self._next(step)
                 continue
-            if line in kept_statements:
-                block_statement = kept_statements[line]
+            if line in cached_statements:
+                block_statement = cached_statements[line]
             else:
                 block_statement = statement(self._codes[line], self._flavour, self._place(line))
-                if len(kept_statements) < _KEPT:
-                    kept_statements[line] = block_statement
+                if len(cached_statements) < _MOST_CACHED:
+                    cached_statements[line] = block_statement
             line += 1
             if block_statement is not None:
                 yield block_statement.worked_out(self._values), line

@@ -17,7 +17,7 @@ _POSITION = 5420
 _AXES = "XYZABCUVW"
 _POSITIONS = frozenset(f"_{letter.lower()}" for letter in _AXES)
 _LAST = 5601
-_KEPT = "only the control knows what it keeps there (offsets, tools, probes, inputs)"
+_UNKNOWN_VALUE = "only the control knows what it keeps there (offsets, tools, probes, inputs)"
 _OF_CONTROL = frozenset(
     f"_{name}"
     for name in """
@@ -29,7 +29,7 @@ _OF_CONTROL = frozenset(
     abs_z abs_a abs_b abs_c abs_u abs_v abs_w vmajor vminor
     """.split()  # noqa: SIM905 - a table of words
 )
-_ALONE = "Have the program written with numbers alone."
+_REMEDY = "Have the program written with numbers alone."
 _IN_PROGRAM = "Set it in the program, or have the program written with numbers alone."
 
 
@@ -106,7 +106,7 @@ class Values:
                 remedy=f"They have numbers from 1 to {_LAST}.",
             )
         if which > _LAST_OWN:
-            raise JobError(f"parameter #{which}: {_KEPT}", place=at, remedy=_IN_PROGRAM)
+            raise JobError(f"parameter #{which}: {_UNKNOWN_VALUE}", place=at, remedy=_IN_PROGRAM)
         if self.flavour.unset is None:
             raise JobError(
                 f"parameter #{which} is read before it is set", place=at, remedy=_IN_PROGRAM
@@ -146,7 +146,7 @@ class Values:
         self._refuse_configuration(name, at)
         value = self._find(name)
         if value is None and name in _OF_CONTROL:
-            raise JobError(f"parameter #<{name}>: {_KEPT}", place=at, remedy=_ALONE)
+            raise JobError(f"parameter #<{name}>: {_UNKNOWN_VALUE}", place=at, remedy=_REMEDY)
         if value is None:
             raise JobError(
                 f"the parameter #<{name[:40]}> is read before it is set",

@@ -54,8 +54,8 @@ def text_of(file: SourceFile, reading: Reading, flavour: Flavour) -> Text:
             remedy="Have it written with numbers alone.",
         )
     flow = FlowReader(reading.file, flavour)
-    first_alone = reading.dialect.grammar.tape == "first"
-    tapes = Tapes(file, reading.dialect.name if first_alone else "")
+    first_line_only = reading.dialect.grammar.tape == "first"
+    tapes = Tapes(file, reading.dialect.name if first_line_only else "")
     codes: list[Code] = []
     lines = Lines(file, file.begin, 1)
     has_code = False

@@ -32,7 +32,7 @@ _HOPELESS = ((150, 1.7), (400, 1.3))
 """After so many starts a duration is given up if the best command rings more, x the limit."""
 _FRESH = 0.1  # share of the starts that begin at the free levels
 _HOP = 4  # most scans by which an edge of a kept command is shifted for a further start
-_KEPT = 12
+_MOST_CANDIDATES = 12
 _STEPS = 80
 _MEAN_WEIGHT = 0.15  # of the root mean square beside the worst: it leads out of corners
 _NOISE = 0.6  # most, of a dwell, in the rounding of free levels
@@ -87,7 +87,7 @@ def flow_command(move: FlowMove, scans: int, seed: int = 0) -> FlowCommand | Non
         if value < 1.1 and search.within(command):
             return command
         kept_costs[edges] = value
-        kept_costs = dict(sorted(kept_costs.items(), key=lambda pair: pair[1])[:_KEPT])
+        kept_costs = dict(sorted(kept_costs.items(), key=lambda pair: pair[1])[:_MOST_CANDIDATES])
     return None
 
 

@@ -28,7 +28,7 @@ _SAG_MM = 2.001e-3  # the reader's own 2 um
 
 
 @njit()
-def ends_of_bows(way, line, alone):
+def ends_of_bows(way, line, xyz_only):
     """Return the (n,) first move of the arc or line that each of n moves belongs to.
 
     Parameters
@@ -50,7 +50,7 @@ def ends_of_bows(way, line, alone):
             length_before += way[i - 1, k] ** 2
             dot += way[i, k] * way[i - 1, k]
         length, length_before = np.sqrt(length), np.sqrt(length_before)
-        continues = line[i] == line[i - 1] and alone[i] and alone[i - 1] and dot > 0.0
+        continues = line[i] == line[i - 1] and xyz_only[i] and xyz_only[i - 1] and dot > 0.0
         if not continues:
             first = first_moves[i] = i
             continue
@@ -117,7 +117,7 @@ _SAME = 1e-9  # share of a feed
 
 
 @njit()
-def joined(start, way, feed, alone, tolerance):
+def joined(start, way, feed, xyz_only, tolerance):
     """Return for n moves whether each ends a joined move, (n,) 1 or 0.
 
     Parameters
@@ -135,7 +135,7 @@ def joined(start, way, feed, alone, tolerance):
     is_end = np.ones(count, np.int64)
     first = 0
     for i in range(1, count):
-        may_join = i - first < _MOST and alone[i] and alone[first] and feed[i] > 0.0
+        may_join = i - first < _MOST and xyz_only[i] and xyz_only[first] and feed[i] > 0.0
         may_join = may_join and abs(feed[i] - feed[first]) <= _SAME * feed[first]
         if may_join:
             chord2 = 0.0
@@ -236,14 +236,14 @@ def course(
         Q of G64, mm; 0 for none.
     """
     linear = np.array([axis in LINEAR for axis in rules.axes])
-    alone = (way[:, ~linear] == 0.0).all(axis=1)
+    xyz_only = (way[:, ~linear] == 0.0).all(axis=1)
     length = rules.moves(way / rules.scale, nominal_s).length
     rows = _Rows(
-        start.copy(), way.copy(), length, nominal_s.copy(), operation, np.arange(len(way)), alone
+        start.copy(), way.copy(), length, nominal_s.copy(), operation, np.arange(len(way)), xyz_only
     )
     bows: dict[int, Bow] = {}
     along = np.ascontiguousarray(way[:, linear])
-    bow_rows = rows_of(ends_of_bows(along, line, alone & (nominal_s > 0.0)))
+    bow_rows = rows_of(ends_of_bows(along, line, xyz_only & (nominal_s > 0.0)))
     if bow_rows:
         beside = np.array([axis not in "XY" for axis in rules.axes])
         bows = rows.bend(bow_rows, beside, cam_tolerance)
@@ -271,7 +271,7 @@ class _Rows:
     nominal_s: FloatArray
     operation: IntArray
     last: IntArray
-    alone: NDArray[np.bool_]
+    xyz_only: NDArray[np.bool_]
 
     def bend(
         self, found: list[tuple[int, int]], beside: NDArray[np.bool_], cam_tolerance: float
@@ -304,7 +304,7 @@ class _Rows:
                     self.length[row] = np.linalg.norm(line_end - line_start)
                     self.nominal_s[row] = self.length[row] / pace
             else:
-                is_kept[first], self.alone[first], self.last[first] = True, False, end
+                is_kept[first], self.xyz_only[first], self.last[first] = True, False, end
                 self.length[first] = radius * angle
                 self.nominal_s[first] = self.length[first] / pace
                 bows[first] = bow
@@ -321,7 +321,7 @@ class _Rows:
         feed = np.where(timed, self.length / np.where(timed, self.nominal_s, 1.0), 0.0)
         # Always in the same memory order: numba compiles a version for each order.
         starts, along = (np.ascontiguousarray(of[:, linear]) for of in (self.start, self.way))
-        ends = joined(starts, along, feed, self.alone, cam_tolerance)
+        ends = joined(starts, along, feed, self.xyz_only, cam_tolerance)
         last = np.flatnonzero(ends)
         first = np.concatenate(([0], last[:-1] + 1))
         joined_rows = np.flatnonzero(last > first)
@@ -338,4 +338,4 @@ class _Rows:
     def _take(self, rows: IntArray) -> None:
         self.start, self.way, self.length = self.start[rows], self.way[rows], self.length[rows]
         self.nominal_s, self.operation = self.nominal_s[rows], self.operation[rows]
-        self.last, self.alone = self.last[rows], self.alone[rows]
+        self.last, self.xyz_only = self.last[rows], self.xyz_only[rows]

@@ -92,7 +92,7 @@ class _Next(NamedTuple):
 
 
 @njit()
-def speeds_at_ends(extent, most, speed, rate, limit, ends):
+def speeds_at_ends(extent, most, speed, rate, limit, transition):
     """Return the (m,) largest speed at the end of each of m pieces.
 
     F counts only at the start of the newest piece: where F falls, LinuxCNC is too fast for a
@@ -101,12 +101,12 @@ def speeds_at_ends(extent, most, speed, rate, limit, ends):
     count = len(extent)
     end_speeds = np.zeros(count)
     for i in range(count - 1):
-        if ends[i] != GOES_ON:
+        if transition[i] != GOES_ON:
             continue
         newest = min(count - 1, i + AHEAD)
         reachable = 0.0
         for j in range(newest - 1, i - 1, -1):
-            if ends[j] != GOES_ON:
+            if transition[j] != GOES_ON:
                 reachable = 0.0
                 continue
             n = j + 1
@@ -185,9 +185,9 @@ def motion(links, bow, cosine, rapid, tolerance, out, started):
         Start of the next piece.
     """
     move, radius, lead, extent = links.move, links.radius, links.lead, links.extent
-    speed, rate, ends = links.speed, links.rate, links.ends
+    speed, rate, transition = links.speed, links.rate, links.transition
     enter, entered, lasted, since = started
-    leaves = speeds_at_ends(extent, links.most, speed, rate, links.limit, ends)
+    leaves = speeds_at_ends(extent, links.most, speed, rate, links.limit, transition)
     round_ = np.where(radius > 0.0, radius, bow[move])
     bends = np.where(round_ > 0.0, (extent - lead) / np.where(round_ > 0.0, round_, 1.0), 0.0)
     room = 9 * out + int(np.ceil(bends[:out] / _BEND).sum())
@@ -201,16 +201,16 @@ def motion(links, bow, cosine, rapid, tolerance, out, started):
             enter, place = entered, entered * lasted - entered * entered / (2.0 * a)
         entered, lasted = 0.0, 0.0
         leave = min(leaves[j], speed[j])
-        if ends[j] == GOES_ON:
+        if transition[j] == GOES_ON:
             leave = min(leave, speed[j + 1])
         evenly = (
-            ends[j] == GOES_ON
+            transition[j] == GOES_ON
             and not rapid[move[j]]
             and leave > 1e-8
             and 2.0 * (extent[j] - place) < _RAMP_S * (enter + leave)
         )
         tail, rises, slope = 0.0, 0.0, 0.0
-        if ends[j] == OVERLAPS and j + 1 < len(extent):
+        if transition[j] == OVERLAPS and j + 1 < len(extent):
             n = j + 1
             slope = rate[n]
             reach = 0.5 * extent[n] if n == len(extent) - 1 else extent[n]
@@ -227,13 +227,13 @@ def motion(links, bow, cosine, rapid, tolerance, out, started):
         v = enter
         enter = _phases(extent[j] - place - tail, v, speed[j], leave, a, evenly, phases)
         begin = r
-        r, place = _alone(row, r, phases, place, v, lead[j], round_[j])
+        r, place = _write_phases(row, r, phases, place, v, lead[j], round_[j])
         if lasted > 0.0:
             r = _together(row, r, place, enter, a, _Next(lasted, rises, slope))
             enter = 0.0
         piece[begin:r] = j
         since += phases.time_s.sum() + lasted
-        if ends[j] != GOES_ON and lasted == 0.0:
+        if transition[j] != GOES_ON and lasted == 0.0:
             # At rest to the end of the cycle.
             wait = CYCLE_S * np.ceil(since / CYCLE_S - 1e-6) - since
             since = 0.0
@@ -244,7 +244,7 @@ def motion(links, bow, cosine, rapid, tolerance, out, started):
 
 
 @njit()
-def _alone(row, r, phases, place, v, lead, radius):
+def _write_phases(row, r, phases, place, v, lead, radius):
     """Write the phases of a piece from row ``r`` on; return the next row and place.
 
     On an arc of ``radius`` after a line of length ``lead`` a row ends after each ``_BEND``.
@@ -383,11 +383,11 @@ class LinkedRun(MovesInHand):
         self.cut, self.takes, self.over = 0.0, 0.0, 0
         self.started = AT_REST
 
-    def extend(self, block: PieceBlock, rows: slice, *, ends: bool) -> Iterator[TrajectoryBlock]:
+    def extend(self, block: PieceBlock, rows: slice, *, is_last: bool) -> Iterator[TrajectoryBlock]:
         """Add moves with their lines."""
         moving = block.coefficients[rows, 1].any(axis=1)
         self.line.append(block.line[rows][moving])
-        yield from MovesInHand.extend(self, block, rows, ends=ends)
+        yield from MovesInHand.extend(self, block, rows, is_last=is_last)
 
     def _join(self) -> None:
         MovesInHand._join(self)
@@ -397,7 +397,7 @@ class LinkedRun(MovesInHand):
         MovesInHand._keep(self, done)
         self.line[:] = [self.line[0][done:]]
 
-    def _settle(self, ends: bool) -> Iterator[TrajectoryBlock]:
+    def _settle(self, is_last: bool) -> Iterator[TrajectoryBlock]:
         scale = self.rules.scale
         moves = course(
             self.rules,
@@ -408,14 +408,14 @@ class LinkedRun(MovesInHand):
             self.line[0],
             self.planner.cam_tolerance_m * MM,
         )
-        settled_count = len(moves) if ends else len(moves) - _BEHIND
+        settled_count = len(moves) if is_last else len(moves) - _BEHIND
         if settled_count <= 0:
             return
         blending = Blending(self.planner.tolerance_m * MM, self.planner.exact_stop)
         corner_geometry = corners(self.rules, moves)
         timed = TimedMoves(moves.length, *moves.limits(self.rules), moves.bow)
         links = link(timed, corner_geometry, blending, self.cut, self.takes, self.over)
-        piece_count = len(links.move) if ends else int(links.first[settled_count])
+        piece_count = len(links.move) if is_last else int(links.first[settled_count])
         rapid = moves.nominal_s == 0.0
         piece, row, self.started = motion(
             links,
@@ -430,7 +430,7 @@ class LinkedRun(MovesInHand):
             coefficients = polynomials(links, moves, piece, row) / scale
             operation = moves.operation[links.move[piece]]
             yield self._timed(row[:, :1], coefficients[:, None], operation)
-        if not ends:
+        if not is_last:
             self.cut, self.takes = (
                 float(links.cut[settled_count]),
                 float(links.takes[settled_count]),

@@ -190,21 +190,21 @@ class MovesInHand(ABC):
     waiting: int = 0
     begun: bool = False
 
-    def extend(self, block: PieceBlock, rows: slice, *, ends: bool) -> Iterator[TrajectoryBlock]:
+    def extend(self, block: PieceBlock, rows: slice, *, is_last: bool) -> Iterator[TrajectoryBlock]:
         """Add moves and yield the settled ones; all of them, and the dwell, at a run's end."""
         start, displacement = block.coefficients[rows, 0], block.coefficients[rows, 1]
         moving = displacement.any(axis=1)
         nominal_s, operation = block.nominal_s[rows][moving], block.operation[rows][moving]
-        taken = self._made((start[moving], displacement[moving], nominal_s, operation), ends)
+        taken = self._made((start[moving], displacement[moving], nominal_s, operation), is_last)
         self.start.append(taken[0])
         self.way.append(taken[1])
         self.nominal_s.append(taken[2])
         self.operation.append(taken[3])
         self.waiting += len(taken[0])
-        if self.waiting and (ends or self.waiting >= AT_ONCE):
+        if self.waiting and (is_last or self.waiting >= AT_ONCE):
             self._join()
-            yield from self._settle(ends)
-        if not ends:
+            yield from self._settle(is_last)
+        if not is_last:
             return
         dwell_s = float(block.dwell_s[rows][-1])
         if dwell_s > 0.0:
@@ -216,12 +216,12 @@ class MovesInHand(ABC):
         self.begun = False
         self._rest()
 
-    def _made(self, taken: Taken, ends: bool) -> Taken:  # noqa: ARG002 - Marlin's moves may wait
-        """Return the moves made from the added ones; ``ends``: the machine rests then."""
+    def _made(self, taken: Taken, is_last: bool) -> Taken:  # noqa: ARG002 - Marlin's moves may wait
+        """Return the moves made from the added ones; ``is_last``: the machine rests then."""
         return taken
 
     @abstractmethod
-    def _settle(self, ends: bool) -> Iterator[TrajectoryBlock]:
+    def _settle(self, is_last: bool) -> Iterator[TrajectoryBlock]:
         """Yield the settled moves, each buffered list being one array, and drop them."""
 
     @abstractmethod

@@ -18,7 +18,7 @@ _FEW = (2, 7)  # buffered moves: up to half of the ring
 _ROUNDING, _EXACT = 1e-6, 1e-12  # of its 24-bit numbers, and of ours
 
 
-def kept_moves(ends: FloatArray, begin: FloatArray, *, last: bool) -> NDArray[np.bool_]:
+def executed_moves(ends: FloatArray, begin: FloatArray, *, last: bool) -> NDArray[np.bool_]:
     """Return (n,) whether a move is executed at its end, and not merged with the next.
 
     Parameters

@@ -47,7 +47,7 @@ class Links(NamedTuple):
         (m,) speed limit; speed limit including the feed; acceleration along the path.
     limit
         (m,) speed limit at the end of the piece.
-    ends
+    transition
         (m,) how the piece ends, such as ``STOPS``.
     first
         (n,) the piece that begins with each move.
@@ -66,7 +66,7 @@ class Links(NamedTuple):
     speed: FloatArray
     rate: FloatArray
     limit: FloatArray
-    ends: IntArray
+    transition: IntArray
     first: IntArray
     cut: FloatArray
     takes: FloatArray
@@ -138,7 +138,7 @@ def link(moves, corners, blending, cut, takes, over):
     ) = corners
     count = len(length)
     real = np.zeros((9, 2 * count))
-    move, ends = np.zeros(2 * count, np.int64), np.zeros(2 * count, np.int64)
+    move, transition = np.zeros(2 * count, np.int64), np.zeros(2 * count, np.int64)
     radius, turn, lead, begin, extent = real[0], real[1], real[2], real[3], real[4]
     most, speed, rate, limit = real[5], real[6], real[7], real[8]
     first, overs = np.zeros(count, np.int64), np.zeros(count, np.int64)
@@ -190,7 +190,7 @@ def link(moves, corners, blending, cut, takes, over):
             swallows = way == BENDS and length_left < _GAP * CYCLE_S * top
             swallows = swallows and not overs[before] and bow[before] == 0.0
             if not swallows:
-                extent[piece], ends[piece], speed[piece] = (
+                extent[piece], transition[piece], speed[piece] = (
                     length_left,
                     GOES_ON if way == BENDS else way,
                     asked[before],
@@ -205,7 +205,7 @@ def link(moves, corners, blending, cut, takes, over):
                 last_piece += 1
             if way == BENDS:
                 begin[last_piece] = begin[piece] + (0.0 if swallows else length_left)
-                move[last_piece], ends[last_piece], radius[last_piece], turn[last_piece] = (
+                move[last_piece], transition[last_piece], radius[last_piece], turn[last_piece] = (
                     before,
                     GOES_ON,
                     bend,
@@ -220,7 +220,7 @@ def link(moves, corners, blending, cut, takes, over):
                 rate[last_piece], limit[last_piece] = ALONG * plane_rate[before], np.inf
                 last_piece += 1
         cuts[i], shares_taken[i], overs[i], first[i] = cut, takes, over, last_piece
-        move[last_piece], begin[last_piece], extent[last_piece], ends[last_piece] = (
+        move[last_piece], begin[last_piece], extent[last_piece], transition[last_piece] = (
             i,
             cut,
             length[i] - cut,
@@ -237,7 +237,7 @@ def link(moves, corners, blending, cut, takes, over):
     speed[:m] = np.minimum(speed[:m], most[:m])
     return Links(
         move[:m], radius[:m], turn[:m], lead[:m], begin[:m], extent[:m], most[:m], speed[:m],
-        rate[:m], limit[:m], ends[:m], first, cuts, shares_taken, overs,
+        rate[:m], limit[:m], transition[:m], first, cuts, shares_taken, overs,
     )  # fmt: skip
 
 

@@ -327,8 +327,8 @@ class Rules:
         acceleration = self._beyond(self.acceleration, own_limits[1] * MM, direction, changed[:, 1])
         moves_xyz = (direction * self._plane != 0.0).any(axis=1)
         fastest = np.where(moves_xyz, np.minimum(fastest, top), fastest)
-        alone_limits = along_axes(self._of_axes(planner.alone), direction)
-        acceleration = np.minimum(acceleration, np.where(moves_xyz, most, alone_limits))
+        single_axis_limits = along_axes(self._of_axes(planner.alone), direction)
+        acceleration = np.minimum(acceleration, np.where(moves_xyz, most, single_axis_limits))
         with np.errstate(divide="ignore"):
             programmed = np.where(nominal_s > 0.0, length / nominal_s, np.inf)
         return Moves(

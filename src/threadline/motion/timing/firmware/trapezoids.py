@@ -29,9 +29,9 @@ from threadline.motion.timing.firmware.look_ahead import (
     speeds_with_cruise,
 )
 from threadline.motion.timing.firmware.marlin_moves import (
+    executed_moves,
     held_back,
     in_steps,
-    kept_moves,
     least_squares,
     whole_rates,
     whole_steps,
@@ -52,8 +52,8 @@ def firmware_blocks(
         edges = [0, *(np.flatnonzero(block.rest_after) + 1).tolist()]
         for first, stop in zip(edges, [*edges[1:], len(block)], strict=True):
             if first < stop:
-                ends = bool(block.rest_after[stop - 1])
-                yield from under_way.extend(block, slice(first, stop), ends=ends)
+                is_last = bool(block.rest_after[stop - 1])
+                yield from under_way.extend(block, slice(first, stop), is_last=is_last)
 
 
 def moves_of(rules: Rules) -> MovesInHand:
@@ -74,7 +74,7 @@ class _Run(MovesInHand):
     def _rest(self) -> None:
         self.speed, self.smooth, self.cruise = 0.0, 0.0, 0.0
 
-    def _settle(self, ends: bool) -> Iterator[TrajectoryBlock]:
+    def _settle(self, is_last: bool) -> Iterator[TrajectoryBlock]:
         moves, least = self._counted()
         most = np.maximum(self.rules.corners(moves), least)
         if not self.begun:
@@ -94,7 +94,7 @@ class _Run(MovesInHand):
             peak = np.minimum(moves.speed**2, 0.5 * (enter + leave + gain))
             fixed = len(moves) - planner.look_ahead
             first = second = ends_at
-        settled_count = len(moves) if ends else min(fixed, len(moves) - 1)
+        settled_count = len(moves) if is_last else min(fixed, len(moves) - 1)
         if settled_count <= 0:
             return
         yield from self._trapezoids(moves, enter, leave, peak, settled_count)
@@ -184,7 +184,7 @@ class _MarlinRun(_Run):
     held: Taken | None = None
     rates: FloatArray = field(default_factory=lambda: np.zeros((2, 0)))
 
-    def _made(self, taken: Taken, ends: bool) -> Taken:
+    def _made(self, taken: Taken, is_last: bool) -> Taken:
         start, displacement, nominal_s, operation = taken
         if self.held is not None:
             start = np.concatenate((self.held[0], start))
@@ -195,7 +195,7 @@ class _MarlinRun(_Run):
         if self.rules.steps is None or not len(displacement):
             return start, displacement, nominal_s, operation
         ends_at, steps = start + displacement, self.rules.scale * self.rules.steps
-        is_kept = kept_moves(ends_at * steps, start[0] * steps, last=ends)
+        is_kept = executed_moves(ends_at * steps, start[0] * steps, last=is_last)
         waiting_count = len(is_kept) - int(is_kept[::-1].argmax()) if is_kept.any() else 0
         if waiting_count < len(is_kept):
             self.held = (

@@ -49,7 +49,7 @@ class AlongPath:
     deceleration: float | None = None
 
     @property
-    def sides(self) -> tuple[float, float]:
+    def accelerations(self) -> tuple[float, float]:
         """Limits of speeding up along the path, and of braking."""
         braking = self.acceleration if self.deceleration is None else self.deceleration
         return self.acceleration, braking
@@ -62,7 +62,7 @@ class AlongPath:
     @property
     def asks_for_rests(self) -> bool:
         """Whether the motion rests where the path turns back, since its speed has a kink there."""
-        return bool(np.isfinite([*self.sides, self.jerk]).any())
+        return bool(np.isfinite([*self.accelerations, self.jerk]).any())
 
 
 def with_acceleration(
@@ -79,7 +79,7 @@ def with_acceleration(
             centripetal=np.inf,
             radius_m=radius_m,
         )
-    up, down = (min(limit, acceleration) for limit in along.sides)
+    up, down = (min(limit, acceleration) for limit in along.accelerations)
     return replace(along, acceleration=up, deceleration=down)
 
 
@@ -203,7 +203,7 @@ def true_shares(
         across2 = np.maximum((a**2).sum(axis=1) - push**2, 0.0)
         jerk = (tangent * j).sum(axis=1)
         jerk += np.divide(across2, speed, out=np.zeros_like(speed), where=is_moving)
-        up, down = limits.sides
+        up, down = limits.accelerations
         for k, share in enumerate(
             (speed / limits.velocity, np.maximum(push / up, -push / down), jerk / limits.jerk)
         ):
@@ -282,7 +282,7 @@ def along_shares(
     across = np.where(moving, _norm_of_shares(a - push[:, None] * along), 0.0)
     # The travelled path length has the derivatives v, t a and t j + |a across|^2 / v.
     turning_jerk = np.divide(across**2, speed, out=np.zeros_like(speed), where=moving)
-    up, down = limits.sides
+    up, down = limits.accelerations
     return {
         name: np.asarray(share)
         for name, share, limit in (

@@ -19,7 +19,7 @@ from threadline.motion.timing.optimal.rows import WEIGHTS
 
 _LEAST_PIVOT = 1e-13  # of the diagonal of the matrix: smaller ones are rounding
 _HELD = 1e60
-_SLACK_KEPT = 0.3  # of a slack when its tangent moves
+_SLACK_SHARE = 0.3  # of a slack when its tangent moves
 _NEAR = 0.9  # of the distance to the nearest limit
 
 
@@ -332,13 +332,13 @@ def follow(b, length, rows, tangent):
                 v = abs(jerk[i, k, 0] * y0 + jerk[i, k, 1] * y1 + jerk[i, k, 2] * y2)
                 at = w[0] * y0 + w[1] * y1 + w[2] * y2
                 before = 1.5 * old - 0.5 * old**3 * at - v
-                if 1.5 * new - 0.5 * new**3 * at - v < _SLACK_KEPT * before:
+                if 1.5 * new - 0.5 * new**3 * at - v < _SLACK_SHARE * before:
                     sound = False
                     break
             if sound:
                 for k in range(begin[i], begin[i + 1]):
                     before = room_of(drive[k], y0, y1, y2, old)
-                    if room_of(drive[k], y0, y1, y2, new) < _SLACK_KEPT * before:
+                    if room_of(drive[k], y0, y1, y2, new) < _SLACK_SHARE * before:
                         sound = False
                         break
             if sound:

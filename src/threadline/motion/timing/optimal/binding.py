@@ -72,7 +72,7 @@ def binding(
             shares[kind] = np.asarray((np.abs(rate) / limit).max(axis=1))
     if limits.deceleration is not None:
         speeding = rates[0] * rates[1] > 0.0
-        limit = np.where(speeding, *limits.sides)
+        limit = np.where(speeding, *limits.accelerations)
         shares["acceleration"] = np.asarray((np.abs(rates[1]) / limit).max(axis=1))
     if limits.along is not None:
         for key, share in along_shares(rates[0], rates[1], rates[2], limits.along).items():

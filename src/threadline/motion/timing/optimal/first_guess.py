@@ -46,7 +46,7 @@ def straight_run(
     if limits.deceleration is not None:
         return None
     if limits.along is not None:
-        if limits.along.sides[0] != limits.along.sides[1]:
+        if limits.along.accelerations[0] != limits.along.accelerations[1]:
             return None
         length = float(np.linalg.norm(distance * limits.along.radius_m))
         velocity = min(velocity, limits.along.velocity / length)
@@ -254,6 +254,6 @@ def top_of(elements: Elements, limits: Limits) -> FloatArray:
 def evenly(elements: Elements, limits: Limits) -> FloatArray:
     """Return the (n,) largest constant x of each element within all limits."""
     at, of = elements, limits
-    least, top = np.minimum(*of.sides), top_of(at, of)
+    least, top = np.minimum(*of.accelerations), top_of(at, of)
     largest_x = even(at.length, at.c, at.guard, (of.velocity, least, of.jerk), of.demand, top)
     return np.asarray(largest_x)

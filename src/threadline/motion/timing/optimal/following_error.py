@@ -188,14 +188,14 @@ def polished(
         solution = problem.solution()
         block_now = in_time(solution, limits, begin_s)
         strays = follower.strays(past, block_now)
-        block_kept = slowed_a_little(block_now, float(strays.share.max()), follower, past)
+        block_within = slowed_a_little(block_now, float(strays.share.max()), follower, past)
         enough_s = _ENOUGH * (best.end_s - begin_s)
         # Gains may come in later rounds, so slowing may pay off later.
         idle = 0 if block_now.end_s < least_s - enough_s else idle + 1
         least_s = min(least_s, block_now.end_s)
-        if block_kept is not None and block_kept.end_s < best.end_s:
-            idle = 0 if block_kept.end_s < best.end_s - enough_s else idle
-            best = block_kept
+        if block_within is not None and block_within.end_s < best.end_s:
+            idle = 0 if block_within.end_s < best.end_s - enough_s else idle
+            best = block_within
         points = places_with_rows(strays.share, len(elements))
         if idle == _IDLE or len(points) * len(elements) > _MOST_CONSTRAINT_ENTRIES:
             break

@@ -177,7 +177,7 @@ def _shares(
     time_s = duration_s[:, None, None]
     if limits.deceleration is not None:
         pushes = _bernstein(acceleration) / time_s**2
-        yield 2, used_shares(_bernstein(velocity), pushes, limits.sides).max(axis=1)
+        yield 2, used_shares(_bernstein(velocity), pushes, limits.accelerations).max(axis=1)
     if limits.along is not None and np.isfinite(limits.along.centripetal):
         across_bound = across(coefficients[:, :, :-1] * limits.along.radius_m)
         yield 2, across_bound / (limits.along.centripetal * duration_s**2)

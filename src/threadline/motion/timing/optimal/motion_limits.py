@@ -43,7 +43,7 @@ class Limits:
     along: AlongPath | None = None
 
     @property
-    def sides(self) -> tuple[FloatArray, FloatArray]:
+    def accelerations(self) -> tuple[FloatArray, FloatArray]:
         """(axes,) limits of speeding up, and of braking."""
         braking = self.acceleration if self.deceleration is None else self.deceleration
         return self.acceleration, braking
@@ -51,7 +51,7 @@ class Limits:
     @property
     def largest_acceleration(self) -> FloatArray:
         """(axes,) the higher limit of speeding up and braking."""
-        return np.maximum(*self.sides)
+        return np.maximum(*self.accelerations)
 
     def with_length(self) -> Limits:
         """Return the limits with those along the path as one more axis: the travelled length."""
@@ -60,7 +60,7 @@ class Limits:
         path_limits = self.along
         speeding, braking = (
             np.append(limit, along)
-            for limit, along in zip(self.sides, path_limits.sides, strict=True)
+            for limit, along in zip(self.accelerations, path_limits.accelerations, strict=True)
         )
         return replace(
             self,
@@ -110,7 +110,7 @@ def axis_limits(
         the machine's.
     """
     columns = [machine.axis_names.index(axis) for axis in axes]
-    speeding, braking = (limit[columns] for limit in machine.sides)
+    speeding, braking = (limit[columns] for limit in machine.accelerations)
     return Limits(
         velocity=machine.velocity_limit[columns],
         acceleration=speeding,
@@ -174,7 +174,9 @@ def limits_of(
     demand = demands_of(machine, axes, of_loads=of_loads)
     with np.errstate(divide="ignore"):
         acceleration_of_drives = (1.0 / demand[:, :, 1]).min(axis=0)
-    speeding, braking = (np.minimum(limit, acceleration_of_drives) for limit in limits.sides)
+    speeding, braking = (
+        np.minimum(limit, acceleration_of_drives) for limit in limits.accelerations
+    )
     return replace(
         limits,
         acceleration=speeding,
@@ -224,7 +226,7 @@ def demands_of(machine: Machine, axes: tuple[str, ...], *, of_loads: bool = Fals
 
 def _needs(machine: Machine, axis: str, of_loads: bool) -> list[tuple[float, FloatArray]]:
     """Return limit and need, at rest, per m/s and per m/s^2, in the order of ``_UNITS``."""
-    from threadline.dynamics.eccentric import drive_limits, drive_needs  # brings the models
+    from threadline.dynamics.eccentric import drive_limits, drive_needs  # loads the models
 
     current, winding = drive_needs(machine, axis)
     if of_loads and machine.drive_of(axis).amplifier.mode == "voltage":

@@ -31,7 +31,7 @@ _FIRST_WEIGHT = 0.1  # first weight of the barrier over all slacks, as a share o
 _FALL = 0.35  # factor on the weight of the barrier from round to round
 _CENTRED = 5.0  # decrement, in roots of the number of slacks, at which the weight falls
 _STEPS = 60  # most Newton steps at one weight
-_KEPT = 0.9  # used share of the tightest limit when the guards change
+_LIMIT_SHARE = 0.9  # used share of the tightest limit when the guards change
 _ROUNDED = 1e-7  # share of a limit: elements whose rows have larger rounding are not cut
 _AT_A_TIME = 2048  # elements per block of shares
 _PLACES = np.array([0.0, 0.5, 1.0])
@@ -185,7 +185,7 @@ class Problem:
         self.elements = elements
         self.weight = np.inf
         self._assemble()
-        self._slow(_KEPT, anew=True)
+        self._slow(_LIMIT_SHARE, anew=True)
 
     def limit(self, elements: Elements) -> None:
         """Replace the elements' caps on the rate; the motion stays unchanged."""
@@ -206,7 +206,7 @@ class Problem:
         )
         drive, first = demand_rows(at.c, of.demand, largest, top)
         if of.deceleration is not None:
-            drive, first = with_braking(drive, first, at.c, *of.sides)
+            drive, first = with_braking(drive, first, at.c, *of.accelerations)
         self.rows = acc, jerk, points, count, top, drive, first
         self.slacks = int(2 * count.sum() + len(at) + 3 * np.isfinite(top).sum() + len(drive))
 
@@ -226,7 +226,7 @@ class Problem:
         largest_share = used(self.b, length, self.rows, self.tangent, share, anew)
         if largest_share <= allowed or self.held != (0, 0):
             return  # a motion with held ends is not slowed: rounding errors are accepted
-        self.b = self.b * (_KEPT / largest_share)
+        self.b = self.b * (_LIMIT_SHARE / largest_share)
         if not used(self.b, length, self.rows, self.tangent, share, False) < 1.0:
             self._begin()  # rounding left it on a limit
 
@@ -286,7 +286,9 @@ class Problem:
                 yield np.asarray(used_block)
             else:
                 # First, since guards are located relative to the end.
-                yield np.concatenate([braking_shares(c, y, *of.sides, _PLACES), used_block], axis=2)
+                yield np.concatenate(
+                    [braking_shares(c, y, *of.accelerations, _PLACES), used_block], axis=2
+                )
 
     def _fastest(self) -> FloatArray:
         """Return the (axes,) largest velocities of the motion: bounds, tight for short elements."""

@@ -47,7 +47,7 @@ _EVEN = 1e-9  # of x: relative change that counts as constant
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Kept:
+class _RestOfPlan:
     """The rest of a plan: from a place on the path to its slow end.
 
     Parameters
@@ -95,7 +95,7 @@ class _Kept:
         most_pieces = len(self.borders) - LEAST_AHEAD
         return max(min(max(count, len(self.borders) - MOST_AHEAD), most_pieces), 1)
 
-    def left(self, pieces: int) -> tuple[Solution, _Kept]:
+    def left(self, pieces: int) -> tuple[Solution, _RestOfPlan]:
         """Return the motion through ``pieces`` pieces, and the rest of the plan."""
         elements, b = self.elements, self.b
         m = self.up_to(pieces)
@@ -105,7 +105,7 @@ class _Kept:
         # a power of two rounds no digit, so that limits met to the last digit stay met.
         unit = float(2.0 ** -np.round(np.log2(elements.length[m])))
         rest_elements = elements.take(slice(m, None))
-        return done_motion, _Kept(
+        return done_motion, _RestOfPlan(
             elements=replace(rest_elements, length=unit * rest_elements.length),
             b=unit**2 * np.concatenate([[node], b[m + 1 :]]),
             tangent=self.tangent[m:],
@@ -156,12 +156,12 @@ def windowed(
     tuple
         The last pieces read, and the time.
     """
-    kept: _Kept | None = None
+    rest: _RestOfPlan | None = None
     now_s, horizon_s = begin_s, HORIZON * _braking_s(limits)
     while True:
-        added = ADDED if kept is None else kept.added
+        added = ADDED if rest is None else rest.added
         run = ahead.take(added + SEEN)
-        if run is None and kept is None:
+        if run is None and rest is None:
             return None, now_s
         next_pieces = None
         if run is not None and len(run) == added + SEEN and not run.rest_after[-1]:
@@ -170,12 +170,12 @@ def windowed(
             run = rows_of(run, 0, added)
         blocks_and_rest = None
         if run is not None:
-            plan = _planned(kept, run, next_pieces, radius_m, limits, dense)
+            plan = _planned(rest, run, next_pieces, radius_m, limits, dense)
             blocks_and_rest = None if plan is None else _window(plan, limits, gap, now_s, horizon_s)
             del plan
-        if blocks_and_rest is None and kept is not None:
+        if blocks_and_rest is None and rest is not None:
             # No feasible continuation is known: the plan ends in a rest.
-            blocks = _as_polynomials(kept.to_rest(), limits, now_s)
+            blocks = _as_polynomials(rest.to_rest(), limits, now_s)
             assert blocks is not None  # true when it was kept
             blocks_and_rest = blocks, None
             if run is not None:
@@ -186,7 +186,7 @@ def windowed(
             blocks = [] if plan is None else [in_time(_solved(plan, gap).to_rest(), limits, now_s)]
             del plan
             blocks_and_rest = blocks, None
-        blocks, kept = blocks_and_rest if blocks_and_rest is not None else ([], None)
+        blocks, rest = blocks_and_rest if blocks_and_rest is not None else ([], None)
         yield from blocks
         now_s = blocks[-1].end_s if blocks else now_s
         if next_pieces is None:
@@ -195,7 +195,7 @@ def windowed(
 
 def _window(
     plan: _Plan, limits: Limits, gap: float, begin_s: float, horizon_s: float
-) -> tuple[list[TrajectoryBlock], _Kept | None] | None:
+) -> tuple[list[TrajectoryBlock], _RestOfPlan | None] | None:
     """Return the motion up to the horizon, and the rest of the plan.
 
     None if either exceeds a limit as polynomials in time.
@@ -206,12 +206,12 @@ def _window(
     if rests:
         blocks = _as_polynomials(solved.to_rest(), limits, begin_s)
         return None if blocks is None else (blocks, None)
-    motion, kept = solved.left(solved.before(horizon_s))
+    motion, rest = solved.left(solved.before(horizon_s))
     del solved
     blocks = _as_polynomials(motion, limits, begin_s)
-    if blocks is None or _as_polynomials(kept.to_rest(), limits, 0.0) is None:
+    if blocks is None or _as_polynomials(rest.to_rest(), limits, 0.0) is None:
         return None
-    return blocks, kept
+    return blocks, rest
 
 
 def _as_polynomials(
@@ -230,7 +230,7 @@ def _as_polynomials(
 
 @dataclass(slots=True, eq=False)
 class _Plan:
-    """A problem with a starting motion, and borders and shape as in ``_Kept``."""
+    """A problem with a starting motion, and borders and shape as in ``_RestOfPlan``."""
 
     problem: Problem
     ending: FloatArray
@@ -239,7 +239,7 @@ class _Plan:
 
 
 def _planned(
-    kept: _Kept | None,
+    rest: _RestOfPlan | None,
     run: PieceBlock,
     next_pieces: PieceBlock | None,
     radius_m: FloatArray,
@@ -251,8 +251,8 @@ def _planned(
     None if none is known; without ``next_pieces`` it comes to rest.
     """
     previous, is_dense = None, True if dense else None
-    if kept is not None:
-        previous, is_dense = kept.shape, is_dense if kept.cut < _CUT else False
+    if rest is not None:
+        previous, is_dense = rest.shape, is_dense if rest.cut < _CUT else False
     shape = run_elements(
         run,
         radius_m,
@@ -264,22 +264,22 @@ def _planned(
     )
     if shape is None:
         return None
-    level = None if kept is None else float(kept.b[-1])
+    level = None if rest is None else float(rest.b[-1])
     slow_motion = _slow_way(shape, level, next_pieces, radius_m, limits)
     if slow_motion is None:
         return None
     b, tangent, held, ending = slow_motion
     borders, elements = _ends_of(shape), shape.elements
-    if kept is not None:
-        borders = np.concatenate([kept.borders, kept.borders[-1] + borders])
-        elements = join([kept.elements, elements])
-        b = np.concatenate([kept.b[:-1], b[1:]])
-        tangent = np.concatenate([kept.tangent, tangent])
+    if rest is not None:
+        borders = np.concatenate([rest.borders, rest.borders[-1] + borders])
+        elements = join([rest.elements, elements])
+        b = np.concatenate([rest.b[:-1], b[1:]])
+        tangent = np.concatenate([rest.tangent, tangent])
     problem = Problem(elements, limits, begun=(b, tangent))
     if not problem.most_used() < 1.0:
         return None
-    problem.held = (0 if kept is None else 2, held)
-    problem.fresh = 0.0 if kept is None else kept.fresh
+    problem.held = (0 if rest is None else 2, held)
+    problem.fresh = 0.0 if rest is None else rest.fresh
     return _Plan(problem=problem, ending=ending, borders=borders, shape=shape)
 
 
@@ -363,18 +363,18 @@ def _is_even(x: FloatArray, level: float | None) -> bool:
 
 def _braking_s(limits: Limits) -> float:
     """Return the time that the slowest axis takes to brake from its velocity limit to rest."""
-    v, a, j = limits.velocity, np.minimum(*limits.sides), limits.jerk
+    v, a, j = limits.velocity, np.minimum(*limits.accelerations), limits.jerk
     with np.errstate(invalid="ignore", over="ignore"):
         braking_time_s = np.where(v * j > a**2, v / a + a / j, 2.0 * np.sqrt(v / j))
     return float(np.max(braking_time_s[np.isfinite(braking_time_s)], initial=0.0))
 
 
-def _solved(plan: _Plan, gap: float) -> _Kept:
+def _solved(plan: _Plan, gap: float) -> _RestOfPlan:
     """Return the fastest motion of a plan; the plan is not needed afterwards."""
     problem = plan.problem
     problem.solve(gap)
     problem.rows = None
-    return _Kept(
+    return _RestOfPlan(
         elements=problem.elements,
         b=problem.b,
         tangent=problem.tangent,

@@ -99,13 +99,13 @@ def in_order(trajectory: Trajectory, points: FloatArray) -> tuple[FloatArray, Fl
     time_s = np.linspace(0.0, trajectory.duration_s, 20_001)
     at = trajectory(time_s)
     squared = [((at - point) ** 2).sum(axis=1) for point in points]
-    best, ways = np.zeros(len(time_s)), []
+    best, moves = np.zeros(len(time_s)), []
     for row in squared:
         total = best + row
         best = np.minimum.accumulate(total)
-        ways.append(np.maximum.accumulate(np.where(total == best, np.arange(len(total)), 0)))
+        moves.append(np.maximum.accumulate(np.where(total == best, np.arange(len(total)), 0)))
     found, place = [], len(time_s) - 1
-    for way in reversed(ways):
+    for way in reversed(moves):
         place = int(way[place])
         found.append(place)
     rows = np.array(found[::-1])

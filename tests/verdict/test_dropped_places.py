@@ -26,9 +26,9 @@ def alone(actual: np.ndarray) -> Recording:
     return record(XY, channels, OPERATION, per_block=17)
 
 
-def side_by_side(ways: list[np.ndarray]) -> Recording:
+def side_by_side(moves: list[np.ndarray]) -> Recording:
     """One recording of several runs; each channel that differs between them is (samples, runs)."""
-    each = [list(alone(actual)) for actual in ways]
+    each = [list(alone(actual)) for actual in moves]
     blocks = [
         replace(
             rows[0],
@@ -41,7 +41,7 @@ def side_by_side(ways: list[np.ndarray]) -> Recording:
         )
         for rows in zip(*each, strict=True)
     ]
-    return replace(alone(ways[0]), blocks=Stream(read, READINGS, tuple(blocks)), runs=len(ways))
+    return replace(alone(moves[0]), blocks=Stream(read, READINGS, tuple(blocks)), runs=len(moves))
 
 
 READINGS: list[int] = []
@@ -63,10 +63,10 @@ def late(by: int) -> np.ndarray:
 def test_each_run_has_the_error_that_it_has_alone(seed: int, scale_m: float) -> None:
     """Random ways, some later than others, from far below the way of a sample to beyond it."""
     rng = np.random.default_rng(seed)
-    ways = [late(int(by)) + rng.normal(scale=scale_m, size=COMMAND.shape) for by in (1, 3, 6, 9)]
-    found = Judge(PLAN, SPEC).each(side_by_side(ways)).row("progress_error")
-    together = judge([side_by_side(ways)], PLAN, SPEC).result("progress_error")
-    singles = [judge([alone(way)], PLAN, SPEC).result("progress_error") for way in ways]
+    moves = [late(int(by)) + rng.normal(scale=scale_m, size=COMMAND.shape) for by in (1, 3, 6, 9)]
+    found = Judge(PLAN, SPEC).each(side_by_side(moves)).row("progress_error")
+    together = judge([side_by_side(moves)], PLAN, SPEC).result("progress_error")
+    singles = [judge([alone(way)], PLAN, SPEC).result("progress_error") for way in moves]
     np.testing.assert_allclose(found.values, [s.measured for s in singles], rtol=0, atol=1e-12)
     worst = int(np.argmax(found.values))
     worst_of_all = (together.measured, together.time_s, together.note, together.run)
@@ -97,8 +97,8 @@ def test_a_place_that_was_given_up_and_could_be_better_is_looked_at_again() -> N
     assert len(READINGS) == once
 
 
-def judged_values(ways: list[np.ndarray]) -> np.ndarray:
-    return Judge(PLAN, SPEC).each(side_by_side(ways)).row("progress_error").values
+def judged_values(moves: list[np.ndarray]) -> np.ndarray:
+    return Judge(PLAN, SPEC).each(side_by_side(moves)).row("progress_error").values
 
 
 def test_every_place_of_a_single_run_is_kept() -> None:

@@ -14,7 +14,7 @@ from llvmlite import ir
 
 from threadline.twin.kernel import compiler as compiling
 from threadline.twin.kernel import run
-from threadline.twin.kernel.compiler import Compiler, KeptCode
+from threadline.twin.kernel.compiler import CodeCache, Compiler
 from threadline.twin.kernel.shape import Shape
 
 INTEGER = ir.IntType(64)
@@ -31,7 +31,7 @@ def adds(number: int) -> ir.Module:
 
 def answer(folder: Path, number: int) -> int:
     """Return ``100 + number``, by a compiler that has made nothing yet."""
-    compiler = Compiler(KeptCode(folder))
+    compiler = Compiler(CodeCache(folder))
     return int(CFUNCTYPE(c_int64, c_int64)(compiler.address(lambda: adds(number), "f"))(100))
 
 
@@ -89,7 +89,7 @@ def test_least_recently_used_code_is_removed_first(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(compiling, "MOST", 2)
-    code = KeptCode(tmp_path)
+    code = CodeCache(tmp_path)
     for age, name in ((9, "old"), (8, "asked for")):
         code.write(name, name.encode())
         for file in set(files(tmp_path)):
@@ -109,7 +109,7 @@ def by_shape(folder: Path, shape: str, number: int, written: list[int]) -> int:
         written.append(number)
         return adds(number)
 
-    compiler = Compiler(KeptCode(folder))
+    compiler = Compiler(CodeCache(folder))
     return int(CFUNCTYPE(c_int64, c_int64)(compiler.address(write, "f", shape))(100))
 
 
@@ -176,7 +176,7 @@ def test_the_digest_is_of_all_sources_that_write_a_kernel() -> None:
 
 def test_second_process_waits_for_the_maker_of_the_same_kernel(tmp_path: Path) -> None:
     """This stands for another process: a lock on a file belongs to the one who opened it."""
-    maker, other = KeptCode(tmp_path), KeptCode(tmp_path)
+    maker, other = CodeCache(tmp_path), CodeCache(tmp_path)
     assert maker.read("a kernel") is None
     found: list[bytes | None] = []
     waiting = threading.Thread(target=lambda: found.append(other.read("a kernel")))

@@ -116,9 +116,9 @@ def test_ringing_that_was_cut_out_is_not_measured(shaped: Proof, axis: str) -> N
         time = np.arange(end - begin) * 1e-3
         samples[f"{axis}.frame"][begin:end] += 3e-3 * np.sin(2 * np.pi * 3.0 * time)
 
-    rung = altered(shaped.recording, ring)
-    assert not judge([rung], shaped.plan, shaped.spec).passed
-    verdict = judge([cut(rung, f"{axis}.frame", begin, end)], shaped.plan, shaped.spec)
+    ringing = altered(shaped.recording, ring)
+    assert not judge([ringing], shaped.plan, shaped.spec).passed
+    verdict = judge([cut(ringing, f"{axis}.frame", begin, end)], shaped.plan, shaped.spec)
     other = "Z" if axis == "X" else "X"
     found = [r for r in verdict.results if r.name == "residual_vibration"]
     assert {r.status for r in found if r.axis == axis} == {Status.NOT_MEASURED}
@@ -127,7 +127,7 @@ def test_ringing_that_was_cut_out_is_not_measured(shaped: Proof, axis: str) -> N
     assert verdict.result("settling_time").status is Status.NOT_MEASURED
 
     with pytest.raises(RecordingError, match=r"has no samples from .*when the valves switched"):
-        judge([cut(rung, "", begin, end)], shaped.plan, shaped.spec)
+        judge([cut(ringing, "", begin, end)], shaped.plan, shaped.spec)
 
 
 def test_blocks_of_a_cycle_that_go_back_are_refused(shaped: Proof) -> None:

@@ -18,13 +18,13 @@ from threadline.live.store.run_store import TRACE, opened, verdict_of_run
 from threadline.panel.calculation import answer_of
 
 CHILD = import_and_call("threadline.panel.thinned_traces", "main")
-_TOLD = ("run", "started", "job", "ended", "text", "passed")
+_COLUMNS = ("run", "started", "job", "ended", "text", "passed")
 _MOST_RUNS = 200
 _JUDGED = (0, 1)  # exit statuses of a report that was written: in spec, out of spec
 _one_at_a_time = asyncio.Semaphore(1)
 
 
-def kept_runs(store: Path) -> list[dict[str, Any]]:
+def stored_runs(store: Path) -> list[dict[str, Any]]:
     """Return an entry for each run in a store, the latest first, at most 200."""
     store_open = opened(store)
     if store_open is None:
@@ -33,7 +33,7 @@ def kept_runs(store: Path) -> list[dict[str, Any]]:
     for record in store_open.index.runs()[:_MOST_RUNS]:
         row = asdict(record)
         word = verdict_of_run(record, store_open.folder / record.run)
-        entries.append({**{name: row[name] for name in _TOLD}, "verdict": word})
+        entries.append({**{name: row[name] for name in _COLUMNS}, "verdict": word})
     return entries
 
 

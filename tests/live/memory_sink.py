@@ -9,7 +9,7 @@ from threadline.files import Channel, Recording, RecordingBlock, Stream
 from threadline.live.states import Cause, State
 
 
-class Kept:
+class MemorySink:
     """A sink of an executor that keeps everything in memory.
 
     Attributes

@@ -29,7 +29,7 @@ from threadline.live.continuing import (
     operation_at,
 )
 from threadline.live.kinds_run import run_kind_of
-from threadline.live.operated import Load, Operated
+from threadline.live.operated import Operated, PlanToSend
 from threadline.live.path_window import REST_S
 from threadline.live.states import Cause, Hold, Sink, State
 from threadline.live.store.run_store import OpenRun, RunStore
@@ -76,7 +76,7 @@ class Prepared:
 
     number: int
     stops: int
-    load: Load
+    to_send: PlanToSend
     spec: Spec
     proof: ProofFile
     override: str | None
@@ -127,7 +127,7 @@ class Owned:
     link: str = "sim"
 
 
-class KeptRuns:
+class StoredRuns:
     """Prepares, keeps and judges runs; the sink of the executor.
 
     Parameters
@@ -145,14 +145,14 @@ class KeptRuns:
         Reason of the latest change of state; may be empty.
     """
 
-    def __init__(self, owned: Owned, label: str, said: Callable[[str, bool], None]) -> None:
+    def __init__(self, owned: Owned, label: str, tell: Callable[[str, bool], None]) -> None:
         machine = owned.machine
         self._folder, self._machine, self._spec_file = owned.folder, machine, owned.spec_file
-        self._store, self._speed, self._said = owned.store, owned.speed, said
+        self._store, self._speed, self._tell = owned.store, owned.speed, tell
         self._link = {"link": owned.link, **({"label": label} if label else {})}
         self._pool = ThreadPoolExecutor(1)
         self._preparing: tuple[Future[Prepared], int, int] | None = None
-        self._given_up = ""  # the command that cancelled the start being checked
+        self._cancelled_by = ""  # the command that cancelled the start being checked
         self._judging: Future[_Finished] | None = None
         self._channels: tuple[Channel, ...] = ()
         self._simulated = True
@@ -213,12 +213,12 @@ class KeptRuns:
 
     def give_up(self, why: str) -> None:
         """Drop a start that is being checked, because the command ``why`` came."""
-        self._given_up = self._given_up or why
+        self._cancelled_by = self._cancelled_by or why
 
     def prepare(self, head: Mapping[str, Any], stops: int, executor: Operated) -> None:
         """Begin to check a requested run; ``prepared`` returns the result."""
         number = int(head["number"])
-        self._given_up = ""
+        self._cancelled_by = ""
         work = self._pool.submit(self._prepared, head, stops, executor)
         self._preparing = (work, number, stops)
 
@@ -232,8 +232,8 @@ class KeptRuns:
             ready = future.result()
         except (ThreadlineError, OSError) as error:
             return number, str(error)
-        if self._given_up:
-            return number, f"it was not begun: the command {self._given_up!r} came meanwhile"
+        if self._cancelled_by:
+            return number, f"it was not begun: the command {self._cancelled_by!r} came meanwhile"
         return ready
 
     def _prepared(self, head: Mapping[str, Any], stops: int, executor: Operated) -> Prepared:
@@ -253,11 +253,11 @@ class KeptRuns:
         may = self._interventions(str(head["proof"]), plan, spec)
         may = may.at_once() if executor.holds_at_once else may
         LiveContour.rehearse(plan, spec, self._channels)
-        load, number = executor.prepare(plan), int(head["number"])
-        load = replace(load, notes=(*load.notes, *may.notes))
+        to_send, number = executor.prepare(plan), int(head["number"])
+        to_send = replace(to_send, notes=(*to_send.notes, *may.notes))
         rests = run_kind_of(plan.machine).rests_s
         rests_s = rests(plan.commands) if may.hold is Hold.AT_REST else None
-        ready = Prepared(number, stops, load, spec, proof, override, inputs, may, rests_s)
+        ready = Prepared(number, stops, to_send, spec, proof, override, inputs, may, rests_s)
         if "run" not in head:
             return ready
         return self._rest_of(str(head["run"]), str(head["at"]), ready, executor)
@@ -271,13 +271,15 @@ class KeptRuns:
     def _rest_of(self, run: str, at: str, whole_run: Prepared, executor: Operated) -> Prepared:
         """Return the rest of an interrupted run; its approach is checked."""
         folder, record = unfinished_run(self._store, run)
-        plan = whole_run.load.plan
+        plan = whole_run.to_send.plan
         refuse_other_rows(record, plan)
         operation = operation_at(plan, last_executed(trace_of(folder, record)), at)
-        load = executor.rest(whole_run.load, operation, at_rest=whole_run.may.hold is Hold.AT_REST)
-        assert load.rest is not None
-        continued = continued_by(plan, load.rest)
-        return replace(whole_run, load=load, again=continued, continues=folder.name)
+        to_send = executor.rest(
+            whole_run.to_send, operation, at_rest=whole_run.may.hold is Hold.AT_REST
+        )
+        assert to_send.rest is not None
+        continued = continued_by(plan, to_send.rest)
+        return replace(whole_run, to_send=to_send, again=continued, continues=folder.name)
 
     def set_out(self, ready: Prepared, executor: Operated) -> None:
         """Open the run in the store, and begin it.
@@ -287,17 +289,17 @@ class KeptRuns:
         CommandError
             If the machine is not idle, or not where the run begins.
         """
-        plan, sent = ready.load.plan, ready.load.sent
+        plan, sent = ready.to_send.plan, ready.to_send.sent
         run_entries = {**self._link, **self._entries_of(ready)}
-        executor.refuse(ready.load)
-        for note in ready.load.notes:
-            self._said(note, False)
+        executor.refuse(ready.to_send)
+        for note in ready.to_send.notes:
+            self._tell(note, False)
         run = RunStore(self._store).begin(
             plan, ready.proof, run_entries, self._speed, ready.inputs, sent
         )
         stack = ExitStack()
         stack.enter_context(run)
-        rest = ready.load.rest
+        rest = ready.to_send.rest
         self._live = LiveContour.of(plan, ready.spec, self._channels)
         measured_sink: Sink = run if self._live is None else Also(run, self._live)
         self._sink = measured_sink
@@ -319,7 +321,7 @@ class KeptRuns:
         }
         try:
             may = ready.may
-            executor.run(ready.load, hold=may.hold, no_override=may.no_override)
+            executor.run(ready.to_send, hold=may.hold, no_override=may.no_override)
         except ThreadlineError as error:
             self._break_off(error)
             raise
@@ -354,7 +356,7 @@ class KeptRuns:
         with suppress(StoreError):  # a locked index may be free when the verdict is stored
             run.over(ended, why)
         try:
-            verdict, closing_text = judged_apart(run.trace, ready.load.plan, ready.spec)
+            verdict, closing_text = judged_apart(run.trace, ready.to_send.plan, ready.spec)
         except RecordingError as error:
             if ready.again is None:
                 raise
@@ -411,7 +413,7 @@ class KeptRuns:
         live.close()
         self._progress["contour"] = live.report()
         if live.failed:
-            self._said(f"the error of the run was not followed to its end: {live.failed}", True)
+            self._tell(f"the error of the run was not followed to its end: {live.failed}", True)
 
     def _time_s(self, executor: Operated) -> float:
         """Return the present instant of the whole job, s, from the plan times of the recording.
