@@ -141,7 +141,7 @@ def test_the_help_of_a_command_lists_its_options_by_purpose() -> None:
     titles = [line for line in lines if line.endswith(":") and not line.startswith(" ")]
     assert titles == [
         "Arguments:", "Input files:", "Planning:", "Level of the verdict:",
-        "Options of this command:",
+        "Where machines are judged:", "Options of this command:",
     ]  # fmt: skip
     section = {
         line.split()[0].rstrip(","): max(k for k, title in enumerate(lines[:at]) if title in titles)
