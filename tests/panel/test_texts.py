@@ -48,11 +48,11 @@ def test_a_warning_of_a_proof_names_the_field_of_the_page() -> None:
 def test_refusals_name_fields_or_the_command_line() -> None:
     message, refused = sent_to_client(
         Said(text="--smoothing '9 ms' needs feed-forward. Give --feed-forward too.", wrong=True),
-        Answer(number=1, ok=False, text="Leave --dialect out; a--b and --- are no options."),
+        Answer(number=1, ok=False, text="Leave --actual out; a--b and --- are no options."),
     )
     assert message["text"] == "'Smoothing' '9 ms' needs feed-forward. Give 'Loads follow' too."
     assert refused["text"] == (
-        "Leave --dialect of the command line out; a--b and --- are no options."
+        "Leave --actual of the command line out; a--b and --- are no options."
     )
 
 

@@ -20,21 +20,11 @@ from dataclasses import dataclass
 from pydantic import BaseModel
 
 from threadline.panel import protocol as say
+from threadline.proof.option_table import TABLE
 
-FIELDS = {
+FIELDS = {one.name: one.label for one in TABLE if one.label} | {
     "at": "from",
-    "contour": "Contour",
-    "feed": "Feed",
-    "feed-forward": "Loads follow",
-    "interpolation": "Interpolation",
-    "law": "Law",
-    "offset": "Mandrel offset",
     "override": "Reason to run out of specification",
-    "radius": "Radius",
-    "robust": "Robust",
-    "shaper": "Shaper",
-    "smoothing": "Smoothing",
-    "tolerance": "Tolerance",
 }
 """Labels of the page, by option."""
 _CODE = re.compile(r"^\[[A-Z_-]+\] ")
@@ -46,8 +36,8 @@ def in_page_words(text: str) -> str:
 
     The code of an error is for programs, and is left out.
 
-    >>> in_page_words("Choose another feed with --feed, or another dialect (--dialect).")
-    "Choose another feed with 'Feed', or another dialect (--dialect of the command line)."
+    >>> in_page_words("Choose another feed with --feed, or another machine (--actual).")
+    "Choose another feed with 'Feed', or another machine (--actual of the command line)."
     >>> in_page_words("[COMMAND] you are not in control. Take control first.")
     'you are not in control. Take control first.'
     """
