@@ -44,7 +44,7 @@ from threadline.proof.option_table import (
 from threadline.proof.options import Options
 from threadline.proof.pipeline import open_job
 from threadline.proof.proof_hash import spec_sha256
-from threadline.proof.request import as_arguments
+from threadline.proof.python_arguments import as_arguments
 from threadline.search.deadline import Deadline
 from threadline.search.paced import Question
 from threadline.verdict import Spec

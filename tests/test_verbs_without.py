@@ -18,7 +18,7 @@ from threadline.proof.option_table import (
     options_for,
     python_name,
 )
-from threadline.proof.request import as_arguments
+from threadline.proof.python_arguments import as_arguments
 from threadline.proof.verbs_without import reason, reasons
 
 MATRIX = [(one, verb) for one in TABLE for verb in PLANNERS if verb not in one.verbs]

@@ -24,13 +24,8 @@ from threadline.machine import Machine
 from threadline.motion.shaping.designs import shaper
 from threadline.proof.option_form import Door, Word
 from threadline.proof.option_table import options_for
-from threadline.proof.request import (
-    Words,
-    check_target,
-    chosen_machine,
-    with_options,
-    with_radii_of,
-)
+from threadline.proof.python_arguments import with_options
+from threadline.proof.request import Words, check_target, chosen_machine, with_radii_of
 
 if TYPE_CHECKING:
     from threadline.files.formats import Written

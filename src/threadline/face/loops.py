@@ -14,7 +14,8 @@ from threadline.base.writing import check_machine_output
 from threadline.errors import OptionError
 from threadline.face.answers import PathLike
 from threadline.machine import Machine
-from threadline.proof.request import chosen_machine, in_arguments
+from threadline.proof.python_arguments import in_arguments
+from threadline.proof.request import chosen_machine
 
 if TYPE_CHECKING:
     from threadline.dynamics.without_loop import Analysis

@@ -10,7 +10,8 @@ from threadline.errors import OptionError
 from threadline.face.answers import PathLike
 from threadline.machine import Machine
 from threadline.proof.option_form import Door, Word
-from threadline.proof.request import Words, with_options
+from threadline.proof.python_arguments import with_options
+from threadline.proof.request import Words
 
 if TYPE_CHECKING:
     from threadline.search.design import DesignResult

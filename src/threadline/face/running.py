@@ -13,7 +13,8 @@ from threadline.errors import RecordingError
 from threadline.face.answers import Answer, PathLike
 from threadline.machine import Machine
 from threadline.proof.option_form import Door, Word
-from threadline.proof.request import Words, with_options
+from threadline.proof.python_arguments import with_options
+from threadline.proof.request import Words
 
 if TYPE_CHECKING:
     from threadline.files import Recording

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from threadline.base.arguments import checked
 from threadline.base.writing import check_machine_output
 from threadline.machine import Machine, load_machine
-from threadline.proof.request import in_arguments
+from threadline.proof.python_arguments import in_arguments
 from threadline.units import parse_quantity
 
 if TYPE_CHECKING:

@@ -6,45 +6,38 @@ read, plan and judge a job in the same way.
 
 from __future__ import annotations
 
-import inspect
-import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from functools import wraps
 from itertools import product
 from pathlib import Path
-from typing import Any, NoReturn, ParamSpec, TypeVar, cast
+from typing import NoReturn
 
 from threadline.base.arguments import check_argument
 from threadline.base.option_defaults import MOST_REPEATS, UNSHAPED_WORD, USUAL
 from threadline.base.reading import note_input
 from threadline.base.wording import nearest
-from threadline.errors import OptionError, ThreadlineError
+from threadline.errors import OptionError
 from threadline.jobs import own_product
 from threadline.machine import Machine, load_machine
 from threadline.machine.radii import with_radii
 from threadline.motion.path.interpolations import OPTIMAL
 from threadline.proof.kinds import kind_of
-from threadline.proof.option_form import Door, Group, Option, Type, Word
+from threadline.proof.option_form import Door, Group, Word
 from threadline.proof.option_table import (
     PLANNERS,
-    PYTHON_VERBS,
     TABLE,
     list_argument,
     options_for,
     python_name,
-    verb_of,
 )
 from threadline.proof.option_words import parse_band, parse_ends, parse_yield
 from threadline.proof.options import Options, options_of
 from threadline.proof.pipeline import NOMINAL, REPEATED, TOLERANCES, Trials, target_of, yielding
+from threadline.proof.python_arguments import LEVEL_FLAGS, types_taken
 from threadline.proof.verbs_without import reason
 from threadline.verdict import Spec, load_spec
 
-P = ParamSpec("P")
-T = TypeVar("T")
-VerbT = TypeVar("VerbT", bound=Callable[..., object])
 _LEVELS = {"nominal": NOMINAL, "repeated": REPEATED, "over tolerances": TOLERANCES}
 
 
@@ -95,7 +88,7 @@ class Words:
                 if one.word not in words:
                     continue
                 value = words[one.word]
-                check_argument(one.word, value, _taken(one, verb))
+                check_argument(one.word, value, types_taken(one, verb))
                 if isinstance(value, Sequence) and not isinstance(value, str):
                     texts[one.word] = ", ".join(value)
         return cls(verb, known_words(verb, door, texts))
@@ -453,124 +446,3 @@ def level_option(trials: Trials) -> dict[str, str]:
     if trials == NOMINAL:
         return {"--nominal": ""}
     return {"--repeats": f"{trials.repeats}"}
-
-
-def python_type(one: Option, verb: str) -> str:
-    """Return the type of an option of a verb in Python, as ``__init__.pyi`` declares it.
-
-    >>> from threadline.proof.option_table import option
-    >>> python_type(option("feed"), "prove"), python_type(option("feed-forward"), "prove")
-    ('str | None', 'bool')
-    """
-    if one.choices:
-        return f"Literal[{', '.join(repr(text).replace(chr(39), chr(34)) for text in one.choices)}]"
-    plain, _ = _PYTHON[one.type]
-    if verb in one.many:
-        plain = f"{plain} | Sequence[{plain}]"
-    return plain if one.default_of(verb) is not None else f"{plain} | None"
-
-
-_TYPED_OPTION = re.compile(
-    r"""(?<![\w-])--([a-z][a-z-]*)(?:[ =]?("[^"]*"|'[^']*')|[ ]([a-z0-9]+(?:-[a-z0-9]+)*))?"""
-)
-LEVEL_FLAGS = {"nominal": 'level="nominal"', "tolerances": 'level="over tolerances"'}
-"""Flags of the command line, as Python writes them."""
-_OTHER_ARGUMENTS = {
-    **LEVEL_FLAGS, "slower": "slower=True",
-    "target": "target=", "out": "out=", "job": "job=", "machine": "machine=", "sign": "sign=",
-    "gain": "gain=", "sensors": "sensors=", "ahead": "ahead=", "direction": "direction=",
-    "coupling": "coupling=", "controller": "controller=", "rule": "rule=", "axis": "axis=",
-    "amplitude": "amplitude=", "link": "link=", "numbers": "numbers=", "experiment": "experiment=",
-    "speed": "speed=", "store": "store=", "override": "override=", "proof": "proof=", "key": "key=",
-    "approach": "approach=True", "pass-stops": "pass_stops=True", "from": "runs=",
-}  # fmt: skip
-
-
-def as_arguments(text: str, verb: str = "") -> str:
-    """Return a message in which command-line options are replaced by Python arguments.
-
-    With a ``verb`` the options are named as its Python function names them.
-
-    >>> as_arguments('--low "1 m/s" is above --high. Leave --feed-forward out.')
-    'low="1 m/s" is above high=. Leave feed_forward=True out.'
-    >>> as_arguments("Give --interpolation optimal."), as_arguments('Leave --feed out.', "compare")
-    ('Give interpolation="optimal".', 'Leave feeds= out.')
-    """
-    words = {one.name: one for verb in PYTHON_VERBS for one in options_for(verb, Door.PYTHON)}
-
-    def spoken(match: re.Match[str]) -> str:
-        entry, value, bare = words.get(match[1]), match[2], match[3]
-        rest = "" if bare is None else f" {bare}"
-        if entry is None:
-            if match[1] in _OTHER_ARGUMENTS:
-                return _OTHER_ARGUMENTS[match[1]] + rest
-            return match[0]
-        if entry.type is Type.FLAG:
-            return f"{entry.word}=True{rest}"
-        if entry.values is not None and bare in entry.values():
-            value, rest = f'"{bare}"', ""
-        if name := list_argument(entry, verb):
-            return f"{name}={f'[{value}]' if value else ''}{rest}"
-        return f"{entry.word}={value or ''}{rest}"
-
-    return _TYPED_OPTION.sub(spoken, text).replace("(-m)", "(machine=)").replace(" -s,", " spec=,")
-
-
-def _taken(one: Option, verb: str) -> Any:
-    """Return the Python types that an option of a verb accepts."""
-    plain: Any = _PYTHON[one.type][1]
-    if verb in one.many:
-        plain = plain | Sequence[plain]
-    return plain if one.default_of(verb) is not None else plain | None
-
-
-_PYTHON: Mapping[Type, tuple[str, Any]] = {
-    Type.TEXT: ("str", str),
-    Type.FLAG: ("bool", bool),
-    Type.COUNT: ("int", int),
-    Type.RATIO: ("float | str", float | str),
-    Type.FILE: ("PathLike", str | Path),
-    Type.SPEC: ("PathLike | Spec", str | Path | Spec),
-    Type.MACHINE: ("PathLike | Machine", str | Path | Machine),
-}
-
-
-def in_arguments(function: Callable[P, T]) -> Callable[P, T]:
-    """Return the function with errors that name Python arguments instead of options."""
-    verb_name = verb_of(function.__name__)
-
-    @wraps(function)
-    def verb(*positional: P.args, **named: P.kwargs) -> T:
-        try:
-            return function(*positional, **named)
-        except ThreadlineError as error:
-            error.message = as_arguments(error.message, verb_name)
-            error.remedy = as_arguments(error.remedy, verb_name)
-            error.args = (error.message, *error.args[1:])
-            raise
-
-    return verb
-
-
-def with_options(function: VerbT) -> VerbT:
-    """Return the function with a signature that lists every option of its verb, with its default.
-
-    Its errors name Python arguments instead of command-line options.
-    """
-    verb = in_arguments(function)
-    verb_name = verb_of(function.__name__)
-    signature = inspect.signature(function)
-    positional = [one for one in signature.parameters.values() if one.kind is not one.VAR_KEYWORD]
-    option_parameters = [
-        inspect.Parameter(
-            one.word,
-            inspect.Parameter.KEYWORD_ONLY,
-            default=one.default_of(verb_name),
-            annotation=python_type(one, verb_name),
-        )
-        for one in options_for(verb_name, Door.PYTHON)
-        if one.word not in signature.parameters
-    ]
-    verb.__signature__ = signature.replace(parameters=[*positional, *option_parameters])  # type: ignore[attr-defined]
-    verb.words = tuple(one.name for one in option_parameters)  # type: ignore[attr-defined]
-    return cast(VerbT, verb)
